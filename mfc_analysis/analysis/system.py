@@ -1,0 +1,96 @@
+"""The linear loop with every wire cut, at m operating points: what all of ``analysis`` works on. It knows no robot.
+
+A *wire* is a signal of the loop that can be cut: the commanded torques, the acceleration command, the encoder, the force
+sensor. Cut, each wire is an output (what arrives at the cut) and an input (what goes on behind it); closing it sets the
+input equal to the output, delayed by ``wire_delay`` where there is dead time.
+
+::
+
+    x' = A x + B [u; w_in]         u: external inputs        w_in:  behind the cut
+    [y; w_out] = C x + D [u; w_in]  y: external outputs       w_out: at the cut
+
+With ``dt > 0`` the model is discrete (x' is the next x) and dead time is already inside (``wire_delay`` all zero).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class OpenSystem:
+    """A loop with all its wires cut. ``m`` points, ``nx`` states, ``nu`` inputs, ``ny`` outputs, ``nw`` wires."""
+
+    times: Array  #: (m,) [s]
+    A: Array  #: (m, nx, nx)
+    B: Array  #: (m, nx, nu + nw)
+    C: Array  #: (m, ny + nw, nx)
+    D: Array  #: (m, ny + nw, nu + nw)
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]  #: nu external inputs
+    output_names: tuple[str, ...]  #: ny external outputs
+    wires: Mapping[str, slice]  #: point name -> its wires among the nw, e.g. {"torque": slice(0, 6), "position": slice(6, 12), "rate": slice(12, 18)}
+    wire_names: tuple[str, ...]  #: nw names of the channels (joint names, or fx..mz)
+    wire_delay: Array  #: (nw,) [s] dead time on each wire
+    points: tuple[str, ...]  #: analysis points a user may open ("rate" is the v behind "position", never opened alone)
+    integrals: tuple[int, ...] = ()  #: states that are integrals of a controller (dropped where they act on nothing)
+    plant_states: tuple[int, ...] = ()  #: states of the plant (the others belong to the controller)
+    law: str = "the loop"  #: for messages
+    dt: float = 0.0  #: [s] sample time, 0: continuous
+    extra: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return self.A.shape[-1]
+
+    @property
+    def nu(self) -> int:
+        """Number of external inputs."""
+        return len(self.input_names)
+
+    @property
+    def ny(self) -> int:
+        """Number of external outputs."""
+        return len(self.output_names)
+
+    @property
+    def nw(self) -> int:
+        """Number of wires."""
+        return len(self.wire_names)
+
+    def at(self, index: slice | Array) -> OpenSystem:
+        """The same system at some of its points."""
+        from dataclasses import replace
+
+        return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index])
+
+
+def close_wires(system: OpenSystem, keep: NDArray[np.bool_] | None = None) -> tuple[Array, Array, Array, Array]:
+    """A, B, C, D with the wires closed (dead time left out), except those in the mask ``keep`` (nw,), which stay cut.
+
+    The kept wires remain the last columns of B and D and the last rows of C and D, in their order.
+    """
+    nu, ny, nw = system.nu, system.ny, system.nw
+    kept = np.zeros(nw, bool) if keep is None else np.asarray(keep, bool)
+    shut_in, shut_out = nu + np.flatnonzero(~kept), ny + np.flatnonzero(~kept)
+    stay_in = np.concatenate([np.arange(nu), nu + np.flatnonzero(kept)])
+    stay_out = np.concatenate([np.arange(ny), ny + np.flatnonzero(kept)])
+    B2, C2 = system.B[:, :, shut_in], system.C[:, shut_out, :]
+    D22 = system.D[:, shut_out[:, None], shut_in]
+    D12, D21 = system.D[:, stay_out[:, None], shut_in], system.D[:, shut_out[:, None], stay_in]
+    # w = C2 x + D21 u + D22 w
+    right = np.concatenate([C2, D21], axis=2)
+    w = np.linalg.solve(np.eye(shut_in.size) - D22, right) if D22.any() else right
+    wx, wu = w[:, :, : system.nx], w[:, :, system.nx :]
+    A = system.A + B2 @ wx
+    B = system.B[:, :, stay_in] + B2 @ wu
+    C = system.C[:, stay_out, :] + D12 @ wx
+    D = system.D[:, stay_out[:, None], stay_in] + D12 @ wu
+    return A, B, C, D

@@ -1,0 +1,96 @@
+"""The family of errors. Every one a user can cause is also a ``ValueError``; data are attributes, the message is a sentence.
+
+::
+
+    MfcError
+    +-- BadArgument          an argument has the wrong shape, type, sign or is not finite     (ValueError)
+    |   +-- UnknownName      a frame, joint, robot, law or axis that isn't there; lists the known ones
+    |   +-- UnknownPoint     a loop cannot be opened there; lists where it can
+    |   +-- Unsupported      an argument is understood but does not apply to this loop
+    +-- BadRobot             a model that cannot be analysed: no mass, floating base, joints with nv != 1  (ValueError)
+    +-- NearSingular         a Jacobian is nearly singular: time, frame, smallest singular value (ValueError)
+    +-- NotConverged         an inverse kinematics, equilibrium or shooting search that did not converge (ValueError)
+    +-- NearPi               a pose error within 1e-3 rad of pi, where log6 jumps (ValueError)
+
+Warnings: ``MfcWarning`` (a ``UserWarning``) for what is suspicious but still has an answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+
+class MfcError(Exception):
+    """Base of all errors of this package."""
+
+
+class MfcWarning(UserWarning):
+    """Something suspicious that still has an answer."""
+
+
+class BadArgument(MfcError, ValueError):
+    """An argument has the wrong shape, type or sign, or is not finite: names it, what it got and what it takes."""
+
+    def __init__(self, argument: str, got: Any, takes: str) -> None:
+        self.argument, self.got, self.takes = argument, got, takes
+        super().__init__(f"{argument}: got {_short(got)}; takes {takes}")
+
+
+class UnknownName(BadArgument):
+    """A name that isn't there; ``known`` lists those that are, and the message names the nearest."""
+
+    def __init__(self, argument: str, got: Any, known: Iterable[str]) -> None:
+        self.known = tuple(known)
+        near = get_close_matches(str(got), self.known, n=1)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        listed = ", ".join(map(repr, self.known)) or "none"
+        super().__init__(argument, got, f"one of {listed}{hint}")
+
+
+class UnknownPoint(BadArgument):
+    """The loop cannot be opened at this analysis point."""
+
+    def __init__(self, at: str, law: str, known: Sequence[str]) -> None:
+        self.at, self.law, self.known = at, law, tuple(known)
+        super().__init__("at", at, f"for {law} one of {', '.join(map(repr, known))}")
+
+
+class Unsupported(BadArgument):
+    """The argument is understood, but does not apply to this loop."""
+
+
+class BadRobot(MfcError, ValueError):
+    """A robot model that cannot be analysed."""
+
+
+class NearSingular(MfcError, ValueError):
+    """A Jacobian too close to singular to be inverted."""
+
+    def __init__(self, frame: str, sigma_min: float, condition: float, time: float | None = None) -> None:
+        self.frame, self.sigma_min, self.condition, self.time = frame, sigma_min, condition, time
+        when = "" if time is None else f" at t = {time:.4g} s"
+        super().__init__(
+            f"the Jacobian of frame {frame!r} is nearly singular{when}: smallest singular value {sigma_min:.3g}, condition number {condition:.3g}; "
+            "move the path away from the singularity, or give the law damping="
+        )
+
+
+class NotConverged(MfcError, ValueError):
+    """A search (inverse kinematics, equilibrium, periodic orbit) that did not converge."""
+
+
+class NearPi(MfcError, ValueError):
+    """A pose error whose rotation angle is within 1e-3 rad of pi, where its logarithm jumps."""
+
+    def __init__(self, angle: float, time: float | None = None) -> None:
+        self.angle, self.time = angle, time
+        when = "" if time is None else f" at t = {time:.4g} s"
+        super().__init__(f"pose error{when}: its rotation angle is {angle:.6f} rad, within 1e-3 of pi, where the logarithm jumps; start nearer to the reference")
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    text = " ".join(text.split())
+    return text if len(text) <= 120 else text[:117] + "..."
