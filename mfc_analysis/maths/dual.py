@@ -1,0 +1,107 @@
+"""Dual arrays: a value ``(..., k)`` with its tangent ``(..., k, N)``, for many points in the leading axes at once.
+
+A law written over these functions gives, called with plain arrays, the right-hand side of a simulation; called with dual
+arrays, the exact Jacobian at every point. The tangent axis is last, so a chain rule is one batched ``@``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Dual:
+    """A value and its derivatives along N directions; arithmetic follows the product rule."""
+
+    __array_ufunc__ = None  # numpy hands mixed operations over to us
+    __slots__ = ("tangent", "value")
+
+    def __init__(self, value: Array, tangent: Array) -> None:
+        self.value = value  #: (..., k)
+        self.tangent = tangent  #: (..., k, N)
+
+    def __add__(self, other: Vector) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value + other.value, self.tangent + other.tangent)
+        return Dual(self.value + other, self.tangent)
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Dual:
+        return Dual(-self.value, -self.tangent)
+
+    def __sub__(self, other: Vector) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value - other.value, self.tangent - other.tangent)
+        return Dual(self.value - other, self.tangent)
+
+    def __rsub__(self, other: Array | float) -> Dual:
+        return Dual(other - self.value, -self.tangent)
+
+    def __mul__(self, other: Vector) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value * other.value, self.tangent * other.value[..., None] + self.value[..., None] * other.tangent)
+        factor = np.asarray(other)
+        return Dual(self.value * factor, self.tangent * (factor[..., None] if factor.ndim else factor))
+
+    __rmul__ = __mul__
+
+    def __getitem__(self, part: slice) -> Dual:
+        """A slice of the last (component) axis."""
+        return Dual(self.value[..., part], self.tangent[..., part, :])
+
+
+Vector: TypeAlias = Union[Array, float, Dual]
+
+
+def value(x: Vector) -> Array:
+    """The value of a plain or dual array."""
+    return x.value if isinstance(x, Dual) else np.asarray(x)
+
+
+def chain(out: Array, *partials: tuple[Callable[[], Array], Vector]) -> Array | Dual:
+    """The chain rule: ``out`` as it is if every argument is plain, else with tangent sum of partial @ tangent.
+
+    Each partial is given as a function of nothing, so that it costs nothing where its argument is plain.
+    """
+    tangent = None
+    for partial, argument in partials:
+        if isinstance(argument, Dual):
+            part = partial() @ argument.tangent
+            tangent = part if tangent is None else tangent + part
+    return out if tangent is None else Dual(out, tangent)
+
+
+def matvec(matrix: Array, x: Vector) -> Array | Dual:
+    """A constant matrix (..., j, k) times a vector (..., k)."""
+    if isinstance(x, Dual):
+        return Dual(times(matrix, x.value), matrix @ x.tangent)
+    return times(matrix, np.asarray(x))
+
+
+def times(matrix: Array, x: Array) -> Array:
+    """Plain batched matrix (..., j, k) times vector (..., k)."""
+    return matrix @ x if matrix.ndim == 2 and x.ndim == 1 else (matrix @ x[..., None])[..., 0]
+
+
+def elementwise(x: Vector, f: Callable[[Array], Array], df: Callable[[Array], Array]) -> Array | Dual:
+    """A function of each component, with its derivative."""
+    if isinstance(x, Dual):
+        return Dual(f(x.value), df(x.value)[..., None] * x.tangent)
+    return f(np.asarray(x))
+
+
+def concatenate(parts: Sequence[Vector]) -> Array | Dual:
+    """Join along the component axis; plain parts among dual ones get a zero tangent."""
+    duals = [p for p in parts if isinstance(p, Dual)]
+    if not duals:
+        return np.concatenate([np.asarray(p) for p in parts], axis=-1)
+    lead, width = duals[0].value.shape[:-1], duals[0].tangent.shape[-1]
+    values = [np.broadcast_to(value(p), (*lead, value(p).shape[-1])) for p in parts]
+    tangents = [p.tangent if isinstance(p, Dual) else np.zeros((*lead, v.shape[-1], width)) for p, v in zip(parts, values, strict=True)]
+    return Dual(np.concatenate(values, axis=-1), np.concatenate(tangents, axis=-2))

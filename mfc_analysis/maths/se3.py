@@ -1,0 +1,247 @@
+"""Rigid motions: exponential, logarithm and its derivative, adjoint; poses, for plain and dual arrays.
+
+Twists and wrenches are (linear, angular). A pose is a 4x4 matrix, ``(..., 4, 4)``, or a ``Pose`` where derivatives are
+carried: then its tangent is a body twist. ``Jlog6`` is a closed form of our own, with a series below 0.5 rad: near
+small angles, where a tracking error lives, it is exact to rounding (Bullo & Murray, "Proportional derivative (PD) control
+on the Euclidean group", 1995, give the four-bracket form).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.errors import BadArgument, NearPi
+from mfc_analysis.maths.dual import Dual, Vector, chain, times, value
+
+Array = NDArray[np.float64]
+
+#: (y/2) cot(y/2) = 1 - sum a_k y^(2k): Bernoulli numbers over factorials, k = 1..8
+_A = np.array([1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600, 3617 / 10670622842880000])
+_SMALL = 0.25  # theta^2 below which the series is used
+
+
+def hat(w: Array) -> Array:
+    """(..., 3) -> skew matrix (..., 3, 3)."""
+    out = np.zeros((*w.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
+    return out
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Plain cross product of (..., 3) arrays (faster than numpy's for small arrays)."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def ad(V: Array) -> Array:
+    """(..., 6) -> (..., 6, 6) with ad(V) W = [V, W]."""
+    out = np.zeros((*V.shape[:-1], 6, 6))
+    w = hat(V[..., 3:])
+    out[..., :3, :3] = out[..., 3:, 3:] = w
+    out[..., :3, 3:] = hat(V[..., :3])
+    return out
+
+
+def bracket(V: Vector, W: Vector) -> Array | Dual:
+    """[V, W] = ad(V) W of two twists, plain or dual (..., 6)."""
+    v, w = value(V), value(W)
+    out = np.concatenate([cross(v[..., 3:], w[..., :3]) + cross(v[..., :3], w[..., 3:]), cross(v[..., 3:], w[..., 3:])], axis=-1)
+    return chain(out, (lambda: -ad(w), V), (lambda: ad(v), W))
+
+
+def adjoint(X: Array) -> Array:
+    """Ad of poses (..., 4, 4) -> (..., 6, 6)."""
+    out = np.zeros((*X.shape[:-2], 6, 6))
+    R = X[..., :3, :3]
+    out[..., :3, :3] = out[..., 3:, 3:] = R
+    out[..., :3, 3:] = hat(X[..., :3, 3]) @ R
+    return out
+
+
+def inverse(X: Array) -> Array:
+    """Inverse of poses (..., 4, 4)."""
+    out = np.zeros_like(X)
+    Rt = np.swapaxes(X[..., :3, :3], -1, -2)
+    out[..., :3, :3] = Rt
+    out[..., :3, 3] = -times(Rt, X[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def transform(R: Array, p: Array) -> Array:
+    """Poses (..., 4, 4) from rotations (..., 3, 3) and positions (..., 3)."""
+    lead = np.broadcast_shapes(R.shape[:-2], p.shape[:-1])
+    out = np.zeros((*lead, 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = R, p, 1.0
+    return out
+
+
+def exp3(w: Array) -> Array:
+    """Rotation vectors (..., 3) -> rotations (..., 3, 3)."""
+    w = np.asarray(w, float)
+    s = np.sum(w * w, axis=-1)[..., None, None]
+    theta = np.sqrt(s)
+    W = hat(w)
+    return np.eye(3) + np.sinc(theta / np.pi) * W + 0.5 * np.sinc(theta / (2 * np.pi)) ** 2 * (W @ W)
+
+
+def exp6(V: Array) -> Array:
+    """Twists (..., 6) -> poses (..., 4, 4)."""
+    V = np.asarray(V, float)
+    v, w = V[..., :3], V[..., 3:]
+    s = np.sum(w * w, axis=-1)
+    theta = np.sqrt(s)
+    b = 0.5 * np.sinc(theta / (2 * np.pi)) ** 2
+    safe = np.where(s < _SMALL, 1.0, s)
+    c = np.where(s < _SMALL, 1 / 6 - s / 120 + s**2 / 5040 - s**3 / 362880 + s**4 / 39916800, (1 - np.sinc(theta / np.pi)) / safe)
+    wv = cross(w, v)
+    return transform(exp3(w), v + b[..., None] * wv + c[..., None] * cross(w, wv))
+
+
+def log3(R: Array) -> Array:
+    """Rotations (..., 3, 3) -> rotation vectors (..., 3), angle below pi."""
+    axis = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    sin = np.sqrt(np.sum(axis * axis, axis=-1))
+    theta = np.arctan2(sin, 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1))
+    return axis / np.sinc(theta / np.pi)[..., None]
+
+
+def log6(X: Array) -> Array:
+    """Poses (..., 4, 4) -> twists (..., 6), exact for rotation angles below pi."""
+    w = log3(X[..., :3, :3])
+    p = X[..., :3, 3]
+    wp = cross(w, p)
+    c = _one_minus_alpha_over_s(np.sum(w * w, axis=-1))
+    return np.concatenate([p - 0.5 * wp + c[..., None] * cross(w, wp), w], axis=-1)
+
+
+def Jlog6(xi: Array) -> Array:
+    """d log(X exp(d)) / d d at log X = xi: (..., 6) -> (..., 6, 6), a body twist in, the rate of the logarithm out."""
+    A, B, _, _ = _coefficients(np.sum(xi[..., 3:] ** 2, axis=-1))
+    a = ad(xi)
+    a2 = a @ a
+    return np.eye(6) + 0.5 * a + A[..., None, None] * a2 + B[..., None, None] * (a2 @ a2)
+
+
+def log_rate(xi: Vector, V: Vector) -> Array | Dual:
+    """The rate of log X when X moves with body twist V: Jlog6(xi) V, with both arguments plain or dual."""
+    A, B = log_coefficients(xi)
+    a1 = bracket(xi, V)
+    a2 = bracket(xi, a1)
+    a4 = bracket(xi, bracket(xi, a2))
+    return V + 0.5 * a1 + A * a2 + B * a4
+
+
+def log_coefficients(xi: Vector) -> tuple[Vector, Vector]:
+    """The two scalar functions of the rotation angle in Jlog6, as (..., 1), plain or dual."""
+    w = value(xi)[..., 3:]
+    A, B, dA, dB = _coefficients(np.sum(w * w, axis=-1, keepdims=True))
+    if isinstance(xi, Dual):
+        ds = 2 * (w[..., None, :] @ xi.tangent[..., 3:, :])
+        return Dual(A, dA[..., None] * ds), Dual(B, dB[..., None] * ds)
+    return A, B
+
+
+def _one_minus_alpha_over_s(s: Array) -> Array:
+    small = s < _SMALL
+    safe = np.where(small, 1.0, s)
+    y = np.sqrt(safe)
+    return np.where(small, np.polyval(_A[::-1], s), (1 - 0.5 * y / np.tan(0.5 * y)) / safe)
+
+
+def _coefficients(s: Array) -> tuple[Array, Array, Array, Array]:
+    """A, B of Jlog6 = 1 + ad/2 + A ad^2 + B ad^4 and their derivatives in s = theta^2."""
+    k = np.arange(1, _A.size + 1)
+    a, b = (2 - k) * _A, ((1 - k) * _A)[1:]
+    if np.all(s < _SMALL):
+        return (np.polyval(a[::-1], s), np.polyval(b[::-1], s), np.polyval(np.polyder(a[::-1]), s), np.polyval(np.polyder(b[::-1]), s))
+    small = s < _SMALL
+    safe = np.where(small, 1.0, s)
+    y = np.sqrt(safe)
+    alpha = 0.5 * y / np.tan(0.5 * y)
+    beta = safe / (4 * np.sin(0.5 * y) ** 2)
+    alpha_s, beta_s = (alpha - beta) / (2 * safe), beta / safe * (1 - alpha)
+    A = (2 * (1 - alpha) + 0.5 * (alpha - beta)) / safe
+    B = (1 - alpha + 0.5 * (alpha - beta)) / safe**2
+    dA = (-2 * alpha_s + 0.5 * (alpha_s - beta_s)) / safe - A / safe
+    dB = (-alpha_s + 0.5 * (alpha_s - beta_s)) / safe**2 - 2 * B / safe
+    series = (np.polyval(a[::-1], s), np.polyval(b[::-1], s), np.polyval(np.polyder(a[::-1]), s), np.polyval(np.polyder(b[::-1]), s))
+    A, B, dA, dB = (np.where(small, few, many) for few, many in zip(series, (A, B, dA, dB), strict=True))
+    return A, B, dA, dB
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A pose with the body twists of its tangent directions (None: a constant)."""
+
+    R: Array  #: (..., 3, 3)
+    p: Array  #: (..., 3)
+    twist: Array | None = None  #: (..., 6, N)
+
+    @property
+    def matrix(self) -> Array:
+        """(..., 4, 4)."""
+        return transform(self.R, self.p)
+
+    @staticmethod
+    def of(X: Array, twist: Array | None = None) -> Pose:
+        """From a 4x4 matrix."""
+        return Pose(X[..., :3, :3], X[..., :3, 3], twist)
+
+    def inverse(self) -> Pose:
+        """X^-1."""
+        Rt = np.swapaxes(self.R, -1, -2)
+        return Pose(Rt, -times(Rt, self.p), None if self.twist is None else -self.Ad() @ self.twist)
+
+    def Ad(self) -> Array:
+        """Adjoint matrix (..., 6, 6) of the value."""
+        return adjoint(self.matrix)
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Composition; the tangent of A B is Ad(B^-1) a + b."""
+        twist = other.twist
+        if self.twist is not None:
+            moved = adjoint(inverse(other.matrix)) @ self.twist
+            twist = moved if twist is None else moved + twist
+        return Pose(self.R @ other.R, times(self.R, other.p) + self.p, twist)
+
+    def adjoint(self, V: Vector) -> Array | Dual:
+        """Ad(X) V, with the tangent of the pose: Ad(X) (dV - ad(V) twist)."""
+        v = value(V)
+        Ad = self.Ad()
+        out = times(Ad, v)
+        dV = V.tangent if isinstance(V, Dual) else None
+        if self.twist is not None:
+            moved = -ad(v) @ self.twist
+            dV = moved if dV is None else dV + moved
+        return out if dV is None else Dual(out, Ad @ dV)
+
+    def log(self) -> Array | Dual:
+        """log6 with the exact tangent; ``NearPi`` within 1e-3 rad of pi."""
+        xi = log6(self.matrix)
+        angle = np.sqrt(np.sum(xi[..., 3:] ** 2, axis=-1))
+        if np.any(angle > np.pi - 1e-3):
+            raise NearPi(float(np.max(angle)))
+        return xi if self.twist is None else Dual(xi, Jlog6(xi) @ self.twist)
+
+
+def pose_matrix(argument: str, X: object) -> Array:
+    """A 4x4 rigid transform at the door: an array or an object with ``homogeneous`` (a Pinocchio SE3). Raises BadArgument."""
+    takes = "a rigid transform: a 4x4 array (rotation, position, last row 0 0 0 1) or a Pinocchio SE3"
+    raw = getattr(X, "homogeneous", X)
+    try:
+        out = np.array(raw, dtype=float)
+    except (TypeError, ValueError) as why:
+        raise BadArgument(argument, X, takes) from why
+    if out.shape != (4, 4) or not np.isfinite(out).all():
+        raise BadArgument(argument, f"shape {out.shape}" if out.shape != (4, 4) else X, takes)
+    R = out[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0 or np.abs(out[3] - [0, 0, 0, 1]).max() > 1e-12:
+        raise BadArgument(argument, X, takes)
+    out.setflags(write=False)
+    return out
