@@ -1,0 +1,156 @@
+"""From a Pinocchio model to one that can be analysed: locked joints, the tool frame, the order of joints, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import cast
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from mfc_analysis.errors import BadArgument, BadRobot, UnknownName
+from mfc_analysis.maths import checks
+
+Array = NDArray[np.float64]
+Locked = str | Sequence[str] | Mapping[str, float] | None
+
+_USUAL_TOOL = "tool0"  # ROS-Industrial's name of the flange, where several leaves of a chain are equal
+_SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit diagonal, below which it counts as singular
+
+
+def movable_joints(model: pin.Model) -> tuple[str, ...]:
+    """Names of the joints that move, in Pinocchio's order."""
+    return tuple(model.names[1:])
+
+
+def lock(model: pin.Model, locked: Locked) -> pin.Model:
+    """A copy of the model with these joints welded: names at 0, or ``{name: value}`` [rad or m].
+
+    Raises ``UnknownName`` for a joint that isn't there, ``BadArgument`` for a value that is not a finite number.
+    """
+    if locked is None:
+        return pin.Model(model)
+    if isinstance(locked, str):
+        locked = [locked]
+    if not isinstance(locked, (Mapping, Sequence, set, frozenset)):
+        raise BadArgument("locked", locked, "names of joints, or {name: value}")
+    values = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
+    q = pin.neutral(model)
+    ids = []
+    for name, value in values.items():
+        if name not in movable_joints(model):
+            raise UnknownName("locked", name, movable_joints(model))
+        joint = model.joints[model.getJointId(name)]
+        if joint.nv != 1:
+            raise BadRobot(f"joint {name!r} has {joint.nv} degrees of freedom: only joints of one can be locked")
+        angle = checks.number(f"locked[{name!r}]", value)
+        q[joint.idx_q : joint.idx_q + joint.nq] = angle if joint.nq == 1 else (np.cos(angle), np.sin(angle))
+        ids.append(model.getJointId(name))
+    return pin.buildReducedModel(model, ids, q) if ids else pin.Model(model)
+
+
+def check_joints(model: pin.Model, mimic: Iterable[str] = ()) -> None:
+    """Raise ``BadRobot`` unless every joint has one degree of freedom, moves on its own, and there is at least one."""
+    if model.njoints < 2:
+        raise BadRobot(f"robot {model.name!r} has no joint that moves")
+    for name, joint in zip(model.names[1:], list(model.joints)[1:], strict=True):
+        kind = joint.shortname().removeprefix("JointModel")
+        if "Mimic" in kind:
+            raise BadRobot(f"joint {name!r} mimics another one: lock it, with locked=[{name!r}]")
+        if joint.nv != 1:
+            raise BadRobot(
+                f"joint {name!r} ({kind}) has {joint.nv} degrees of freedom: "
+                "this library takes fixed bases and joints of one; replace it by such joints, or remove it"
+            )
+    still = [name for name in mimic if name in movable_joints(model)]
+    if still:
+        raise BadRobot(f"joint {still[0]!r} mimics another one, which a tree of free joints cannot express: lock it, with locked={still!r}")
+
+
+def check_masses(model: pin.Model) -> None:
+    """Raise ``BadRobot`` naming the joint where the mass matrix is singular, not positive or not finite."""
+    for name, body in zip(model.names, model.inertias, strict=True):
+        if not (np.isfinite(body.mass) and np.isfinite(body.inertia).all() and np.isfinite(body.lever).all()):
+            raise BadRobot(f"the body moved by joint {name!r} has an inertia that is not finite")
+        if body.mass < 0:
+            raise BadRobot(f"the body moved by joint {name!r} has a negative mass, {body.mass:g} kg")
+    data = model.createData()
+    rng = np.random.default_rng(9)
+    best, worst, diagonal = -np.inf, np.inf, np.zeros(model.nv)
+    for _ in range(4):  # a regular robot may be singular at one pose, not at four
+        M = upper_to_full(pin.crba(model, data, _configuration(model, rng.uniform(-2.0, 2.0, model.nv))))
+        diagonal = np.maximum(diagonal, np.diag(M))
+        scale = np.sqrt(np.maximum(np.diag(M), 1e-300))
+        smallest = float(np.linalg.eigvalsh(M / scale[:, None] / scale)[0])
+        best, worst = max(best, smallest), min(worst, smallest)
+    empty = [name for name, m in zip(movable_joints(model), diagonal, strict=True) if m <= 1e-12]
+    if empty:
+        raise BadRobot(
+            f"joint {empty[0]!r} moves no mass (its effective inertia is {float(diagonal.min()):.3g}): give its link mass and inertia, or lock it"
+        )
+    if best < _SINGULAR or worst < -_SINGULAR:
+        raise BadRobot(
+            f"the mass matrix of {model.name!r} is not positive definite: a link has no inertia about an axis that moves it, or a negative one"
+        )
+
+
+def frame_id(model: pin.Model, name: str) -> int:
+    """Id of the frame ``name``; where a link and a joint share it, the link. Raises ``UnknownName``."""
+    for kind in (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.FIXED_JOINT, pin.FrameType.SENSOR, pin.FrameType.JOINT):
+        for i, frame in enumerate(model.frames):
+            if frame.name == name and frame.type == kind and i > 0:
+                return i
+    raise UnknownName("tool", name, dict.fromkeys(f.name for f in list(model.frames)[1:]))
+
+
+def default_tool(model: pin.Model) -> str:
+    """The last link of the chain: the only leaf that every joint moves; ``tool0`` among several.
+
+    Raises ``BadArgument`` listing the leaves where that is ambiguous.
+    """
+    frames = list(model.frames)
+    carrying = {f.parentFrame for i, f in enumerate(frames) if f.parentFrame != i}
+    leaves = [f for i, f in enumerate(frames) if i > 0 and f.type == pin.FrameType.BODY and i not in carrying and f.parentJoint > 0]
+    depth = {f.name: len(model.supports[f.parentJoint]) - 1 for f in leaves}
+    full = [f.name for f in leaves if depth[f.name] == model.njoints - 1]
+    if len(full) == 1:
+        return str(full[0])
+    if _USUAL_TOOL in full:
+        return _USUAL_TOOL
+    if not leaves and len(model.supports[model.njoints - 1]) == model.njoints:  # a bare chain of joints
+        return str(model.names[-1])
+    known = ", ".join(repr(n) for n in (full or depth)) or "none"
+    raise BadArgument("tool", None, f"the name of a link or frame: the last link of {model.name!r} is ambiguous ({known})")
+
+
+def joint_order(model: pin.Model, joints: Sequence[str] | None) -> NDArray[np.intp]:
+    """(n,) Pinocchio's velocity index of each of the user's joints; ``joints`` must name each movable joint once."""
+    names = movable_joints(model)
+    index = {name: model.joints[model.getJointId(name)].idx_v for name in names}
+    if joints is None:
+        joints = sorted(names, key=index.__getitem__)
+    elif isinstance(joints, str) or not isinstance(joints, Sequence):
+        raise BadArgument("joints", joints, "a sequence of joint names")
+    for name in joints:
+        if name not in index:
+            raise UnknownName("joints", name, names)
+    if len(set(joints)) != len(joints) or len(joints) != len(names):
+        missing = [name for name in names if name not in joints]
+        hint = f"; {missing!r} are missing: add them, or lock them with locked=" if missing else "; one is named twice"
+        raise BadArgument("joints", list(joints), f"every movable joint once{hint}")
+    order = np.array([index[name] for name in joints], dtype=np.intp)
+    order.setflags(write=False)
+    return order
+
+
+def upper_to_full(M: Array) -> Array:
+    """The symmetric matrix whose upper triangle Pinocchio filled."""
+    return np.asarray(np.triu(M) + np.triu(M, 1).T)
+
+
+def _configuration(model: pin.Model, angles: Array) -> Array:
+    q = pin.neutral(model)
+    for joint, angle in zip(list(model.joints)[1:], angles, strict=True):
+        q[joint.idx_q : joint.idx_q + joint.nq] = angle if joint.nq == 1 else (np.cos(angle), np.sin(angle))
+    return cast(Array, q)

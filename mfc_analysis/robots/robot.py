@@ -1,0 +1,435 @@
+"""A robot arm as a value: its dynamics (Pinocchio's), its tool, its friction. Fixed base, every joint of one degree of freedom.
+
+Angles are plain numbers, also for continuous joints (Pinocchio's cosine and sine never show). Twists and wrenches are (linear, angular) in the
+tool frame at the tool origin. ``q``, ``v`` may carry any leading axes: ``(..., n)`` in, ``(..., n, n)`` and so on out.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, cast
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.errors import BadArgument, BadRobot, MfcWarning, NearSingular
+from mfc_analysis.maths import checks
+from mfc_analysis.robots import build
+from mfc_analysis.robots.urdf import checked_urdf, read_urdf
+
+Array = NDArray[np.float64]
+Friction = Literal["urdf", "none"]
+
+COULOMB_SPEED = 1e-2  #: [rad/s or m/s] where tanh(v / COULOMB_SPEED) turns a friction's sign
+WARN_CONDITION, REFUSE_CONDITION = 1e4, 1e6  #: of the Jacobian, where task-space quantities warn and refuse
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)  #: [m/s^2]
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What each joint may do; ``inf`` where the model says nothing (a 0 velocity or torque, an empty range, a continuous joint)."""
+
+    lower: Array  #: (n,) [rad or m]
+    upper: Array  #: (n,) [rad or m]
+    velocity: Array  #: (n,) [rad/s or m/s]
+    torque: Array  #: (n,) [N m or N]
+
+    @property
+    def position(self) -> Array:
+        """(n, 2) lower and upper position [rad or m]."""
+        return np.stack([self.lower, self.upper], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Payload:
+    """A body added at the tool: mass [kg], com (3,) [m] and inertia (3, 3) [kg m^2] about the com, in tool axes."""
+
+    mass: float
+    com: Array
+    inertia: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot:
+    """A fixed-base arm. Made by :meth:`from_urdf`, :meth:`from_pinocchio` or the catalogue; ``with_...`` give changed copies.
+
+    The plant's friction is ``viscous * v + coulomb * tanh(v / coulomb_speed)`` on each joint; mass, gravity and bias contain none of it.
+    """
+
+    name: str
+    model: pin.Model  #: a copy of our own; joints in Pinocchio's order
+    tool: str  #: name of the tool frame
+    frame_id: int  #: of the tool, in ``model.frames``
+    order: NDArray[np.intp]  #: (n,) Pinocchio's velocity index of each joint in the user's order
+    viscous: Array  #: (n,) [N m s/rad or N s/m]
+    coulomb: Array  #: (n,) [N m or N]
+    coulomb_speed: float = COULOMB_SPEED  #: [rad/s or m/s]
+    payloads: tuple[Payload, ...] = field(default=())  #: already inside ``model``
+
+    # --- made from -------------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | os.PathLike[str],
+        tool: str | None = None,
+        locked: build.Locked = None,
+        joints: Sequence[str] | None = None,
+        friction: Friction = "urdf",
+        gravity: ArrayLike = STANDARD_GRAVITY,
+    ) -> Robot:
+        """A robot from a URDF: a path or the XML text. Meshes are never opened.
+
+        Args:
+            tool: a link or frame name (where a link and a joint share it, the link); None: the last link, where there is one.
+            locked: joints to weld: names (at 0) or ``{name: value}`` [rad or m].
+            joints: the order of ``q``; None: the model's.
+            friction: "urdf": joint damping is the plant's viscous friction; "none": dropped. The URDF's Coulomb ``friction`` is never taken.
+            gravity: (3,) [m/s^2] in base axes.
+
+        Raises ``BadRobot`` (not XML, no mass, mimic or floating joints), ``UnknownName`` (tool, locked, joints), ``BadArgument``.
+        """
+        text, mimic = checked_urdf(read_urdf(source))
+        try:
+            model = pin.buildModelFromXML(text)
+        except (ValueError, RuntimeError) as why:
+            raise BadRobot("Pinocchio cannot read this URDF: its links and joints do not make a model") from why
+        return cls._from_model(model, tool, locked, joints, friction, gravity, mimic)
+
+    @classmethod
+    def from_pinocchio(
+        cls,
+        model: pin.Model,
+        tool: str | None = None,
+        locked: build.Locked = None,
+        joints: Sequence[str] | None = None,
+        friction: Friction = "urdf",
+        gravity: ArrayLike | None = None,
+    ) -> Robot:
+        """A robot from a copy of a Pinocchio model, as :meth:`from_urdf`; ``gravity=None`` keeps the model's own."""
+        if not isinstance(model, pin.Model):
+            raise BadArgument("model", type(model).__name__, "a pinocchio.Model")
+        return cls._from_model(model, tool, locked, joints, friction, model.gravity.linear if gravity is None else gravity, ())
+
+    @classmethod
+    def _from_model(
+        cls,
+        model: pin.Model,
+        tool: str | None,
+        locked: build.Locked,
+        joints: Sequence[str] | None,
+        friction: str,
+        gravity: ArrayLike,
+        mimic: Sequence[str],
+    ) -> Robot:
+        checks.choice("friction", friction, ("urdf", "none"))
+        gravity = checks.array("gravity", gravity, (3,))
+        model = build.lock(model, locked)
+        model.gravity = pin.Motion(np.array(gravity), np.zeros(3))
+        build.check_joints(model, mimic)
+        order = build.joint_order(model, joints)
+        if tool is not None and not isinstance(tool, str):
+            raise BadArgument("tool", tool, "the name of a link or frame")
+        tool = build.default_tool(model) if tool is None else tool
+        fid = build.frame_id(model, tool)
+        if model.frames[fid].parentJoint == 0:
+            raise BadArgument("tool", tool, "a link that some joint moves")
+        build.check_masses(model)
+        viscous = model.damping[order] if friction == "urdf" else np.zeros(model.nv)
+        viscous = checks.per_joint("friction", viscous, model.nv, low=0.0)
+        return cls(model.name, model, tool, fid, order, viscous, checks.per_joint("coulomb", 0.0, model.nv))
+
+    # --- what it is ------------------------------------------------------------------------------------------------------
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.model.nv)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(n,) names, in the order of ``q``."""
+        by_index = {j.idx_v: name for j, name in zip(list(self.model.joints)[1:], self.model.names[1:], strict=True)}
+        return tuple(by_index[int(i)] for i in self.order)
+
+    @property
+    def limits(self) -> Limits:
+        """Position, velocity and torque limits, in the order of ``q``; ``inf`` where there is none."""
+        lower, upper = np.full(self.n, -np.inf), np.full(self.n, np.inf)
+        for j in list(self.model.joints)[1:]:
+            low, high = self.model.lowerPositionLimit[j.idx_q], self.model.upperPositionLimit[j.idx_q]
+            if j.nq == 1 and low < high:
+                lower[j.idx_v], upper[j.idx_v] = _open(low), _open(high)
+        velocity = np.array(self.model.upperVelocityLimit if hasattr(self.model, "upperVelocityLimit") else self.model.velocityLimit)
+        torque = np.array(self.model.upperEffortLimit if hasattr(self.model, "upperEffortLimit") else self.model.effortLimit)
+        ordered = [lower, upper, _given(velocity), _given(torque)]
+        return Limits(*[_frozen(values[self.order]) for values in ordered])
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of everything the joints move [kg], payload included."""
+        return float(sum(body.mass for body in list(self.model.inertias)[1:]))
+
+    @property
+    def armature(self) -> Array:
+        """(n,) rotor inertia seen at each joint [kg m^2 or kg]."""
+        return _frozen(np.array(self.model.armature)[self.order])
+
+    def __repr__(self) -> str:
+        return f"Robot({self.name!r}, n={self.n}, tool={self.tool!r})"
+
+    def __str__(self) -> str:
+        joints = f"{self.n} joint{'s' if self.n > 1 else ''} ({', '.join(self.joint_names)})"
+        parts = [f"{self.name}: {joints}", f"tool {self.tool}", f"{self.total_mass:.4g} kg moved"]
+        if self.payloads:
+            parts.append(f"of which payload {sum(p.mass for p in self.payloads):.4g} kg")
+        if np.any(self.viscous):
+            parts.append(f"viscous friction {_figures(self.viscous)}")
+        if np.any(self.coulomb):
+            parts.append(f"Coulomb friction {_figures(self.coulomb)} (tanh at {self.coulomb_speed:g})")
+        if np.any(self.armature):
+            parts.append(f"armature {_figures(self.armature)}")
+        return ", ".join(parts)
+
+    # --- changed copies --------------------------------------------------------------------------------------------------
+
+    def with_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = 0.0) -> Robot:
+        """The robot with a body fixed to its tool; payloads add up.
+
+        Args:
+            mass: [kg] >= 0.  com: (3,) [m] in the tool frame.  inertia: scalar or (3, 3) [kg m^2] about the com, in tool axes.
+        """
+        mass = checks.number("mass", mass, low=0.0)
+        com = checks.array("com", com, (3,))
+        I = _rotational_inertia(inertia)
+        frame = self.model.frames[self.frame_id]
+        model = pin.Model(self.model)
+        model.inertias[frame.parentJoint] += frame.placement.act(pin.Inertia(mass, np.array(com), np.array(I)))
+        return replace(self, model=model, payloads=(*self.payloads, Payload(mass, com, I)))
+
+    def with_friction(self, viscous: ArrayLike | None = None, coulomb: ArrayLike = 0.0, coulomb_speed: float = COULOMB_SPEED) -> Robot:
+        """The robot with this joint friction instead of its own.
+
+        Args:
+            viscous: scalar or (n,) [N m s/rad or N s/m] >= 0; None keeps what there is.
+            coulomb: scalar or (n,) [N m or N] >= 0, smoothed as ``coulomb * tanh(v / coulomb_speed)``.
+            coulomb_speed: [rad/s or m/s] > 0.
+        """
+        new = self.viscous if viscous is None else checks.per_joint("viscous", viscous, self.n, low=0.0)
+        speed = checks.number("coulomb_speed", coulomb_speed, low=0.0, strict=True)
+        return replace(self, viscous=new, coulomb=checks.per_joint("coulomb", coulomb, self.n, low=0.0), coulomb_speed=speed)
+
+    def with_armature(self, armature: ArrayLike) -> Robot:
+        """The robot with these rotor inertias seen at the joints (gear ratio squared times rotor inertia): scalar or (n,) [kg m^2 or kg] >= 0.
+
+        They replace those it has.
+        """
+        values = checks.per_joint("armature", armature, self.n, low=0.0)
+        model = pin.Model(self.model)
+        ours = np.zeros(self.n)
+        ours[self.order] = values
+        model.armature = ours
+        return replace(self, model=model)
+
+    def with_inertia_scaled(self, factor: float) -> Robot:
+        """The robot with every mass and inertia multiplied by ``factor`` > 0, armature included: M, h and g scale by it exactly."""
+        factor = checks.number("factor", factor, low=0.0, strict=True)
+        model = pin.Model(self.model)
+        for i, body in enumerate(list(model.inertias)):
+            model.inertias[i] = pin.Inertia(factor * body.mass, np.array(body.lever), factor * np.array(body.inertia))
+        model.armature = factor * np.array(model.armature)
+        return replace(self, model=model, payloads=tuple(Payload(factor * p.mass, p.com, factor * p.inertia) for p in self.payloads))
+
+    # --- angles ----------------------------------------------------------------------------------------------------------
+
+    def configuration(self, q: ArrayLike) -> Array:
+        """(..., nq) Pinocchio's configuration at angles q (..., n): its order of joints, (cos, sin) for a continuous joint."""
+        return self._configuration(self._joints("q", q))
+
+    def to_model(self, x: ArrayLike) -> Array:
+        """(..., n) a vector in the user's joint order, in Pinocchio's."""
+        x = np.asarray(x, float)
+        out = np.empty_like(x)
+        out[..., self.order] = x
+        return out
+
+    def from_model(self, x: ArrayLike) -> Array:
+        """(..., n) a vector in Pinocchio's joint order, in the user's."""
+        return cast(Array, np.asarray(x, float)[..., self.order])
+
+    # --- dynamics --------------------------------------------------------------------------------------------------------
+
+    def mass(self, q: ArrayLike) -> Array:
+        """(..., n, n) mass matrix M(q) of equation 9.7 [kg m^2, kg m or kg], armature included."""
+        x = self.configuration(q)
+        data, pick = self.model.createData(), np.ix_(self.order, self.order)
+        return self._each(x, lambda i: build.upper_to_full(pin.crba(self.model, data, x[i]))[pick], (self.n, self.n))
+
+    def gravity(self, q: ArrayLike) -> Array:
+        """(..., n) gravity torque g(q) [N m or N]."""
+        x = self.configuration(q)
+        data = self.model.createData()
+        return self._each(x, lambda i: pin.computeGeneralizedGravity(self.model, data, x[i])[self.order], (self.n,))
+
+    def bias(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """(..., n) h(q, v) = C(q, v) v + g(q) [N m or N], without friction."""
+        q, v = self._moving(q, v)
+        x, v = self._configuration(q), self.to_model(v)
+        data = self.model.createData()
+        return self._each(x, lambda i: pin.nonLinearEffects(self.model, data, x[i], v[i])[self.order], (self.n,))
+
+    def friction(self, v: ArrayLike) -> Array:
+        """(..., n) joint friction torque of the plant, opposing v: viscous v + coulomb tanh(v / coulomb_speed) [N m or N]."""
+        v = self._joints("v", v)
+        return self.viscous * v + self.coulomb * np.tanh(v / self.coulomb_speed)
+
+    def pose(self, q: ArrayLike) -> Array:
+        """(..., 4, 4) pose X of the tool in the base."""
+        x = self.configuration(q)
+        data = self.model.createData()
+
+        def one(i: Any) -> Array:
+            pin.forwardKinematics(self.model, data, x[i])
+            return np.array(pin.updateFramePlacement(self.model, data, self.frame_id).homogeneous)
+
+        return self._each(x, one, (4, 4))
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """(..., 6, n) body Jacobian: V_b = J v, (linear, angular) in the tool frame."""
+        x = self.configuration(q)
+        data = self.model.createData()
+
+        def one(i: Any) -> Array:  # of a single joint Pinocchio returns (6,)
+            J = np.reshape(pin.computeFrameJacobian(self.model, data, x[i], self.frame_id, pin.LOCAL), (6, self.n))
+            return cast(Array, J[:, self.order])
+
+        return self._each(x, one, (6, self.n))
+
+    def jacobian_rate(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """(..., 6) J'(q, v) v, the acceleration of the body twist where the joints do not accelerate: V_b' = J a + J' v."""
+        q, v = self._moving(q, v)
+        x, v = self._configuration(q), self.to_model(v)
+        data, zero = self.model.createData(), np.zeros(self.n)
+
+        def one(i: Any) -> Array:
+            pin.forwardKinematics(self.model, data, x[i], v[i], zero)
+            return np.array(pin.getFrameAcceleration(self.model, data, self.frame_id, pin.LOCAL).vector)
+
+        return self._each(x, one, (6,))
+
+    def task_inertia(self, q: ArrayLike) -> Array:
+        """(..., 6, 6) Lambda = (J M^-1 J^T)^-1 of equation 9.15, J^-T M J^-1 where J is square.
+
+        Warns (``MfcWarning``) above a condition number of J of 1e4, raises ``NearSingular`` above 1e6, as for fewer than six joints.
+        """
+        J = self.jacobian(q)
+        self._check_regular(J)
+        return _task_inertia(self.mass(q), J)
+
+    def task_bias(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """(..., 6) eta = Lambda (J M^-1 h - J' v) of equation 9.15: J^T (Lambda V' + eta) gives 9.7 back. Warns and raises as ``task_inertia``."""
+        q, v = self._moving(q, v)
+        J, M = self.jacobian(q), self.mass(q)
+        self._check_regular(J)
+        a_bias = np.linalg.solve(M, self.bias(q, v)[..., None])
+        x: Array = _task_inertia(M, J) @ (J @ a_bias - self.jacobian_rate(q, v)[..., None])
+        return x[..., 0]
+
+    def joint_torques(self, q: ArrayLike, wrench: ArrayLike, frame: str = "tool") -> Array:
+        """(..., n) tau = J^T F [N m or N] of a wrench (..., 6), (force [N], moment [N m]) at the tool origin.
+
+        ``frame``: "tool": components in tool axes; "world": in base axes, still at the tool origin.
+        """
+        checks.choice("frame", frame, ("tool", "world"))
+        F = checks.array("wrench", wrench)
+        if F.ndim == 0 or F.shape[-1] != 6:
+            raise BadArgument("wrench", f"shape {F.shape}", "shape (..., 6): force and moment")
+        if frame == "world":
+            R = self.pose(q)[..., :3, :3]
+            F = np.concatenate([(np.swapaxes(R, -1, -2) @ F[..., part, None])[..., 0] for part in (slice(0, 3), slice(3, 6))], axis=-1)
+        tau: Array = np.swapaxes(self.jacobian(q), -1, -2) @ F[..., None]
+        return tau[..., 0]
+
+    # --- inside ----------------------------------------------------------------------------------------------------------
+
+    def _joints(self, argument: str, value: ArrayLike) -> Array:
+        out = checks.array(argument, value)
+        if out.ndim == 0 and self.n == 1:
+            return out.reshape(1)
+        if out.ndim == 0 or out.shape[-1] != self.n:
+            raise BadArgument(argument, f"shape {out.shape}", f"shape (..., {self.n}): a value for each of {', '.join(self.joint_names)}")
+        return out
+
+    def _moving(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+        q, v = self._joints("q", q), self._joints("v", v)
+        try:
+            q, v = np.broadcast_arrays(q, v)
+        except ValueError:
+            raise BadArgument("v", f"shape {v.shape}", f"leading axes that go with q of shape {q.shape}") from None
+        return q, v
+
+    def _configuration(self, q: Array) -> Array:
+        angles = self.to_model(q)
+        out = np.empty((*angles.shape[:-1], self.model.nq))
+        for j in list(self.model.joints)[1:]:
+            angle = angles[..., j.idx_v]
+            if j.nq == 1:
+                out[..., j.idx_q] = angle
+            else:
+                out[..., j.idx_q], out[..., j.idx_q + 1] = np.cos(angle), np.sin(angle)
+        return out
+
+    def _each(self, x: Array, one: Any, shape: tuple[int, ...]) -> Array:
+        out = np.empty((*x.shape[:-1], *shape))
+        for i in np.ndindex(x.shape[:-1]):
+            out[i] = one(i)
+        return out
+
+    def _check_regular(self, J: Array) -> None:
+        if self.n < 6:
+            raise NearSingular(self.tool, 0.0, np.inf)
+        s = np.linalg.svd(J, compute_uv=False)
+        smallest, condition = float(s[..., -1].min()), float(np.max(s[..., 0] / np.maximum(s[..., -1], 1e-300)))
+        if condition > REFUSE_CONDITION:
+            raise NearSingular(self.tool, smallest, condition)
+        if condition > WARN_CONDITION:
+            figures = f"smallest singular value {smallest:.3g}, condition number {condition:.3g}"
+            warnings.warn(f"the Jacobian of frame {self.tool!r} is close to singular: {figures}", MfcWarning, stacklevel=3)
+
+
+def _task_inertia(M: Array, J: Array) -> Array:
+    Lambda: Array = np.linalg.inv(J @ np.linalg.solve(M, np.swapaxes(J, -1, -2)))
+    return 0.5 * (Lambda + np.swapaxes(Lambda, -1, -2))
+
+
+def _rotational_inertia(inertia: ArrayLike) -> Array:
+    I = checks.array("inertia", inertia)
+    takes = "a scalar >= 0 or a symmetric positive (3, 3) matrix [kg m^2], about the com in tool axes"
+    if I.shape not in ((), (3, 3)):
+        raise BadArgument("inertia", f"shape {I.shape}", takes)
+    full = np.array(I * np.eye(3) if I.ndim == 0 else I)
+    scale = float(np.abs(full).max())
+    if not np.allclose(full, full.T, rtol=0, atol=1e-9 * scale) or np.linalg.eigvalsh(full)[0] < -1e-9 * scale:
+        raise BadArgument("inertia", inertia, takes)
+    return _frozen(0.5 * (full + full.T))
+
+
+def _open(limit: float) -> float:
+    return float(np.copysign(np.inf, limit)) if abs(limit) > 1e300 else float(limit)
+
+
+def _given(values: Array) -> Array:
+    return np.where((values <= 0) | (values > 1e300), np.inf, values)
+
+
+def _frozen(values: Array) -> Array:
+    values.setflags(write=False)
+    return values
+
+
+def _figures(values: Array) -> str:
+    return f"{values[0]:g}" if np.all(values == values[0]) else "(" + ", ".join(f"{x:g}" for x in values) + ")"

@@ -1,0 +1,164 @@
+"""A URDF, read and checked before Pinocchio sees it, so that what is wrong with it is said in words of its own.
+
+Only links with their inertias and joints matter here: geometry, materials, transmissions and simulator tags are left out, so no mesh is ever opened.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from pathlib import Path
+from xml.etree import ElementTree
+
+from mfc_analysis.errors import BadArgument, BadRobot
+
+_KEPT = ("link", "joint")
+_PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics")}
+_JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+_NUMBERS = {  # attributes that are numbers, by tag
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
+    "dynamics": {"damping": 1, "friction": 1},
+}
+
+
+def read_urdf(source: str | os.PathLike[str]) -> str:
+    """The text of a URDF given as a path or as the XML itself.
+
+    Raises ``BadArgument`` where there is no such file or the argument is neither.
+    """
+    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
+        return source
+    if not isinstance(source, (str, os.PathLike)):
+        raise BadArgument("source", source, "the path of a URDF file, or its XML text")
+    try:
+        path = Path(source).expanduser()
+        if not path.is_file():
+            raise BadArgument("source", str(source), "the path of an existing URDF file, or its XML text")
+        return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as why:
+        raise BadRobot(f"{source} is not a URDF: it is not text") from why
+    except (OSError, ValueError, RuntimeError) as why:
+        if isinstance(why, BadArgument):
+            raise
+        raise BadArgument("source", str(source), "the path of a URDF file that can be read, or its XML text") from why
+
+
+def checked_urdf(text: str) -> tuple[str, tuple[str, ...]]:
+    """The URDF reduced to links and joints, and the names of its mimic joints.
+
+    Raises ``BadRobot`` naming the link or joint for: not XML, no ``<robot>``, xacro left unexpanded, a missing or repeated name, a missing or unknown
+    link, a joint that floats or is planar, a number that is not one, a negative mass, a zero axis, no or several roots, a loop.
+    """
+    try:
+        root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"))
+    except (ElementTree.ParseError, ValueError) as why:
+        raise BadRobot(f"the URDF is not XML: {why}") from why
+    if root.tag != "robot":
+        raise BadRobot(f"not a URDF: its outermost element is <{_local(root.tag)}>, where a URDF has <robot>")
+    if any(isinstance(e.tag, str) and "xacro" in e.tag for e in root.iter()):
+        raise BadRobot("the URDF still contains xacro tags: expand it first, with xacro arm.urdf.xacro > arm.urdf")
+    bare = ElementTree.Element("robot", {"name": root.get("name") or "robot"})
+    for element in root:
+        if element.tag in _KEPT:
+            bare.append(_stripped(element))
+    _check_names(bare)
+    for element in bare:
+        _check_numbers(element)
+    _check_tree(bare)
+    mimic = tuple(j.get("name", "") for j in root.findall("joint") if j.find("mimic") is not None)
+    return ElementTree.tostring(bare, encoding="unicode"), mimic
+
+
+def _stripped(element: ElementTree.Element) -> ElementTree.Element:
+    out = ElementTree.Element(element.tag, element.attrib)
+    out.extend(child for child in element if child.tag in _PARTS[element.tag])
+    return out
+
+
+def _check_names(robot: ElementTree.Element) -> None:
+    for kind in _KEPT:
+        names = [e.get("name") for e in robot.findall(kind)]
+        if not all(names):
+            raise BadRobot(f"the URDF has a {kind} without a name")
+        twice = [name for name, count in Counter(names).items() if count > 1]
+        if twice:
+            raise BadRobot(f"the URDF has more than one {kind} named {twice[0]!r}")
+
+
+def _check_numbers(element: ElementTree.Element) -> None:
+    what = f"{element.tag} {element.get('name')!r}"
+    for inertial in element.findall("inertial"):
+        missing = [part for part in ("mass", "inertia") if inertial.find(part) is None]
+        if missing:
+            raise BadRobot(f"{what}: its <inertial> has no <{missing[0]}>")
+    if element.get("type") in ("revolute", "prismatic"):
+        limit = element.find("limit")
+        missing = ["limit"] if limit is None else [a for a in ("effort", "velocity") if limit.get(a) is None]
+        if missing:
+            raise BadRobot(f"{what}: a {element.get('type')} joint needs a <limit> with effort and velocity; {missing[0]} is missing")
+    for part in element.iter():
+        for attribute, count in _NUMBERS.get(part.tag, {}).items():
+            text = part.get(attribute)
+            if text is None:
+                if part.tag in ("mass", "inertia"):
+                    raise BadRobot(f"{what}: <{part.tag}> has no {attribute}")
+                continue
+            try:
+                values = [float(word) for word in text.split()]
+            except ValueError:
+                values = []
+            if len(values) != count or not all(map(math.isfinite, values)):
+                raise BadRobot(f"{what}: {part.tag} {attribute}={text!r} is not {'a finite number' if count == 1 else f'{count} finite numbers'}")
+            if part.tag == "mass" and values[0] < 0:
+                raise BadRobot(f"{what}: its mass {text} kg is negative")
+            if part.tag == "dynamics" and values[0] < 0:
+                raise BadRobot(f"{what}: its {attribute} {text} is negative")
+            if part.tag == "axis" and not any(values):
+                raise BadRobot(f"{what}: its axis is zero")
+
+
+def _check_tree(robot: ElementTree.Element) -> None:
+    links = {e.get("name") for e in robot.findall("link")}
+    parent: dict[str, str] = {}
+    for joint in robot.findall("joint"):
+        name, kind = joint.get("name"), joint.get("type")
+        if kind not in _JOINT_TYPES:
+            taken = ", ".join(_JOINT_TYPES)
+            raise BadRobot(f"joint {name!r} is of type {kind!r}: this library takes fixed bases and joints of one degree of freedom ({taken})")
+        ends = []
+        for end in ("parent", "child"):
+            part = joint.find(end)
+            link = None if part is None else part.get("link")
+            if link not in links or link is None:
+                raise BadRobot(f"joint {name!r}: its {end} link {link!r} is not in the URDF")
+            ends.append(link)
+        if ends[1] in parent:
+            raise BadRobot(f"link {ends[1]!r} is the child of more than one joint: closed chains are not supported")
+        parent[ends[1]] = ends[0]
+    roots = sorted(str(link) for link in links if link not in parent)
+    if len(roots) != 1:
+        raise BadRobot(f"the URDF needs exactly one root link and has {len(roots)}" + (f": {', '.join(roots)}" if roots else ""))
+    loose = sorted(str(link) for link in links - _reached(roots[0], parent))
+    if loose:
+        raise BadRobot(f"the URDF has links that are not connected to the root: {', '.join(loose)}")
+
+
+def _reached(root: str, parent: dict[str, str]) -> set[str]:
+    children: dict[str, list[str]] = {}
+    for child, above in parent.items():
+        children.setdefault(above, []).append(child)
+    seen, stack = set(), [root]
+    while stack:
+        link = stack.pop()
+        seen.add(link)
+        stack.extend(children.get(link, ()))
+    return seen
+
+
+def _local(tag: str) -> str:
+    return tag.rsplit("}", 1)[-1]
