@@ -1,0 +1,143 @@
+"""Poles, and what they say: stable, neutral, drifting.
+
+Roots at zero (at z = 1 of a sampled loop) are told by rank (``zero_roots``), the others by the sign of their real part.
+Dead time is left out of the poles and exact in the verdict.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.analysis.zero_roots import ZeroRoots, nonzero_roots, zero_roots
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Complex = NDArray[np.complex128]
+
+UNDAMPED = 1e-10  #: a root whose real part is below this part of its modulus counts as undamped: not stable
+
+
+@dataclass(frozen=True, eq=False)
+class Stability:
+    """The verdict at m points, dead time included."""
+
+    stable: Bools  #: (m,) every root that is not neutral lies inside, nothing drifts, and there is more than neutral roots
+    neutral: NDArray[np.int64]  #: (m,) semisimple roots at zero (free positions)
+    drifts: Bools  #: (m,) a Jordan chain at zero: a position that slides, a speed that ramps
+    nonzero_stable: Bools  #: (m,) the roots that are not at zero all lie inside: what margins and searches judge
+    idle: NDArray[np.int64]  #: (m,) integrals that act on nothing, left out of the verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Poles at m points with which of them are at zero. Slowest first; dead time left out."""
+
+    poles: Complex  #: (m, nx) [rad/s], or in the z plane
+    zero: Bools  #: (m, nx) True for the roots at zero (z = 1), told by rank; their value is exact
+    roots: ZeroRoots
+    dt: float  #: [s] 0: continuous
+
+    @property
+    def rates(self) -> Complex:
+        """(m, nx) [rad/s] the poles in the s plane: ln(z) / dt of a sampled loop."""
+        return rates(self.poles, self.dt)
+
+
+@dataclass(frozen=True)
+class Pole:
+    """One row of the table of poles."""
+
+    value: complex  #: [rad/s], or z
+    frequency: float  #: [rad/s] natural frequency
+    damping: float  #: damping ratio; -1..1; NaN at zero
+    time_constant: float  #: [s] inf where it does not decay, negative where it grows
+    kind: str  #: "zero", "stable", "undamped" or "unstable"
+
+
+def rates(poles: Complex, dt: float) -> Complex:
+    """Poles in the s plane [rad/s]: unchanged if ``dt`` is 0, else ln(z) / dt (a pole at z = 0 gives -inf)."""
+    if not dt:
+        return poles
+    z = np.asarray(poles, np.complex128)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(np.abs(z)) / dt + 1j * (np.angle(z) / dt))
+
+
+def spectrum(system: OpenSystem) -> Spectrum:
+    """Poles of the closed loop, dead time left out, with the roots at zero told by rank."""
+    A = close_wires(system)[0]
+    one = 1.0 if system.dt else 0.0
+    found = np.asarray(np.linalg.eigvals(A), np.complex128) if system.nx else np.zeros(A.shape[:2], np.complex128)
+    shifted = A - one * np.eye(system.nx)
+    m = len(A)
+    roots = ZeroRoots(np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, bool), np.zeros(m, np.int64))
+    size = np.abs(found - one)
+    doubtful = np.flatnonzero(size.min(axis=1, initial=np.inf) <= 1e-3 * size.max(axis=1, initial=0.0))
+    if doubtful.size:
+        some = zero_roots(shifted[doubtful], system.integrals)
+        for name in ("dropped", "neutral", "drifts", "count"):
+            getattr(roots, name)[doubtful] = getattr(some, name)
+    at_zero = np.arange(system.nx) < roots.count[:, None]
+    for i in np.flatnonzero(roots.count):
+        found[i] = one
+        found[i, roots.count[i] :] += nonzero_roots(shifted[i], int(roots.count[i]))
+    s = rates(found, 1.0 if system.dt else 0.0)
+    order = np.lexsort((-s.imag, np.abs(s.imag), np.abs(s.real), ~at_zero), axis=1)
+    return Spectrum(np.take_along_axis(found, order, 1), np.take_along_axis(at_zero, order, 1), roots, system.dt)
+
+
+def poles(system: OpenSystem) -> Complex:
+    """Eigenvalues (m, nx) of the closed loop [rad/s] (sampled loops: z), slowest first, roots at zero before all. Dead time is left out."""
+    return spectrum(system).poles
+
+
+def inside(poles: Complex, dt: float, fastest: Array | None = None) -> Bools:
+    """Which of the poles (m, k) decay. Undamped pairs, exact up to rounding, do not.
+
+    Rounding of a root is relative to the fastest root of its matrix, given where ``poles`` is not all of them.
+    """
+    s = rates(poles, 1.0 if dt else 0.0)
+    floor = 1e-13 if dt else 1e-14 * (np.abs(s).max(axis=-1, keepdims=True, initial=0.0) if fastest is None else fastest[..., None])
+    with np.errstate(invalid="ignore"):
+        return np.asarray((s.real < -UNDAMPED * np.abs(s) - floor) | np.isneginf(s.real))
+
+
+def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
+    """Stable, neutral or drifting at each point, dead time included (definition: "Stable, neutral, drifting" of the guide).
+
+    Integrals that act on nothing are dropped first. ``known``: the spectrum, where it has been computed already.
+    """
+    known = spectrum(system) if known is None else known
+    roots = known.roots
+    if system.wire_delay.any() and not system.dt:
+        from mfc_analysis.analysis.delay import delay_stable
+
+        others = delay_stable(system)
+    else:
+        others = np.asarray((inside(known.poles, known.dt) | known.zero).all(axis=1))
+    more = system.nx > roots.count
+    stable = others & ~roots.drifts & more
+    return Stability(stable, roots.neutral, roots.drifts, others, roots.dropped)
+
+
+def pole_table(system: OpenSystem, index: int) -> tuple[Pole, ...]:
+    """Natural frequency, damping and time constant of each pole at point ``index``, slowest first."""
+    found = spectrum(system.at(np.array([index])))
+    s = found.rates[0]
+    decays = inside(found.poles, found.dt)[0]
+    return tuple(_row(complex(p), complex(r), bool(z), bool(d)) for p, r, z, d in zip(found.poles[0], s, found.zero[0], decays, strict=True))
+
+
+def _row(pole: complex, rate: complex, at_zero: bool, decays: bool) -> Pole:
+    if at_zero:
+        return Pole(pole, 0.0, np.nan, np.inf, "zero")
+    if np.isneginf(rate.real):
+        return Pole(pole, np.inf, 1.0, 0.0, "stable")
+    size = abs(rate)
+    undamped = not decays and rate.real <= UNDAMPED * size
+    kind = "stable" if decays else "undamped" if undamped else "unstable"
+    return Pole(pole, size, 0.0 if undamped else -rate.real / size, np.inf if undamped else -1 / rate.real, kind)
