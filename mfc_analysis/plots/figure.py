@@ -1,0 +1,185 @@
+"""Sheets to draw on: fixed rectangles per kind of figure, colours of joints, SVG that is the same bytes every time.
+
+``Figure`` without pyplot: no global state. Constrained or tight layout would double the time, so each kind has its axes at fixed places [inch];
+a test holds that no text leaves the sheet.
+"""
+
+from __future__ import annotations
+
+import io
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from mfc_analysis.errors import UnknownName
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+JOINTS = ("#0072b2", "#c44e00", "#00795a", "#9b3f84", "#7a6200", "#5a4fcf", "#a8324a", "#3b6470")     #: a joint's colour, on every page
+LIMIT = "#b45309"        #: what was asked
+GOOD, BAD = "#00795a", "#b3261e"
+GREY, GRID, SHADE = "#6b7280", "#d5d9de", "#fbeee4"
+INK = "#000000"
+
+_SMALL, _TEXT = 7.5, 8.0      # [pt]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A kind of figure: its size and its axes (left, bottom, width, height), in inches from the lower left corner."""
+
+    size: tuple[float, float]
+    panels: tuple[tuple[float, float, float, float], ...]
+
+
+def _stack(width: float, count: int, each: float, *, left: float = 0.62, right: float = 0.12, bottom: float = 0.44, top: float = 0.26, gap: float = 0.2) -> Sheet:
+    height = bottom + top + count * each + (count - 1) * gap
+    panels = tuple((left, bottom + (count - 1 - i) * (each + gap), width - left - right, each) for i in range(count))
+    return Sheet((width, height), panels)
+
+
+SHEETS: dict[str, Sheet] = {
+    "time history": _stack(6.5, 1, 1.7),
+    "two histories": _stack(6.5, 2, 1.15),
+    "three histories": _stack(6.5, 3, 1.0),
+    "four histories": _stack(6.5, 4, 0.95),
+    "bode": _stack(3.75, 2, 1.2, left=0.66),
+    "nyquist": Sheet((2.75, 3.3), ((0.52, 0.44, 2.11, 2.6),)),
+    "pole map": Sheet((3.1, 3.1), ((0.62, 0.44, 2.36, 2.4),)),
+    "step": _stack(3.4, 2, 1.1, left=0.66),
+    "map": Sheet((4.4, 3.2), ((0.68, 0.48, 3.58, 2.44),)),
+    "arm": Sheet((3.1, 3.1), ((0.56, 0.44, 2.42, 2.42),)),
+    "disc": Sheet((3.1, 3.1), ((0.56, 0.44, 2.42, 2.42),)),
+    "block": Sheet((6.5, 1.9), ((0.0, 0.0, 6.5, 1.9),)),
+}
+
+_SAVING = threading.Lock()     # matplotlib reads its SVG settings from one global table while it writes
+
+
+def colour(index: int) -> str:
+    """The colour of joint ``index``; from the ninth on they repeat."""
+    return JOINTS[index % len(JOINTS)]
+
+
+def panels_for(kind: str) -> tuple[Axes, ...]:
+    """The axes of a new sheet of this kind, top first. Raises ``UnknownName`` for a kind that isn't there."""
+    from matplotlib.figure import Figure
+
+    if kind not in SHEETS:
+        raise UnknownName("kind", kind, SHEETS)
+    sheet = SHEETS[kind]
+    width, height = sheet.size
+    figure = Figure(figsize=sheet.size, facecolor="none")
+    axes = tuple(figure.add_axes((x / width, y / height, w / width, h / height)) for x, y, w, h in sheet.panels)
+    for ax in axes:
+        _dress(ax)
+    return axes
+
+
+def axes_for(kind: str) -> Axes:
+    """The one (or uppermost) axes of a new sheet of this kind."""
+    return panels_for(kind)[0]
+
+
+def _dress(ax: Axes) -> None:
+    ax.set_facecolor("none")
+    ax.grid(True, color=GRID, linewidth=0.6)
+    ax.set_axisbelow(True)
+    ax.tick_params(labelsize=_SMALL, length=2.5, width=0.6, pad=2)
+    for name, spine in ax.spines.items():
+        spine.set_linewidth(0.7)
+        spine.set_visible(name in ("left", "bottom"))
+
+
+def label(ax: Axes, x: str = "", y: str = "", title: str = "") -> None:
+    """Axis names with their units, and a title at the left."""
+    if x:
+        ax.set_xlabel(x, fontsize=_TEXT, labelpad=2)
+    if y:
+        ax.set_ylabel(y, fontsize=_TEXT, labelpad=2)
+    if title:
+        ax.set_title(title, fontsize=_TEXT, fontweight="bold", loc="left", pad=4)
+
+
+def hide_times(axes: Sequence[Axes]) -> None:
+    """Only the lowest of stacked axes keeps its tick labels."""
+    for ax in axes[:-1]:
+        ax.tick_params(labelbottom=False)
+
+
+def note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK, ha: str = "left", va: str = "center", inside: bool = False) -> None:
+    """A remark at a point of the data (``inside``: of the axes, 0 to 1)."""
+    ax.text(*at, text, fontsize=_SMALL, color=color, ha=ha, va=va, transform=ax.transAxes if inside else ax.transData, clip_on=False)
+
+
+def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = False) -> None:
+    """A legend without a frame; ``above``: in a line over the axes, at the right."""
+    handles, labels = ax.get_legend_handles_labels()
+    if not handles:
+        return
+    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1} if above else {"loc": where}
+    found = ax.legend(handles, labels, ncols=columns, fontsize=_SMALL, frameon=not above, handlelength=1.6, columnspacing=1.0, handletextpad=0.4, **place)
+    frame = found.get_frame()
+    frame.set_linewidth(0.0)
+    frame.set_facecolor("none")
+
+
+def log_grid(ax: Axes, low: float, high: float) -> None:
+    """A logarithmic frequency axis with its minor grid as one collection of lines: half the bytes of minor ticks."""
+    import numpy as np
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    ax.set_xscale("log")
+    ax.set_xlim(low, high)
+    ax.xaxis.set_major_locator(LogLocator(10, numticks=8))
+    ax.xaxis.set_minor_locator(NullLocator())
+    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
+    places = np.outer(decades, np.arange(2, 10)).ravel()
+    places = places[(places > low) & (places < high)]
+    if places.size and places.size <= 80:
+        ax.vlines(places, 0, 1, transform=ax.get_xaxis_transform(), colors=GRID, linewidths=0.3, zorder=0.5)
+
+
+def written(value: float, digits: int = 3) -> str:
+    """A number for a remark in a figure."""
+    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
+
+
+def figure_of(drawn: Any) -> Figure:
+    """The figure of what a recipe returned: Axes, several Axes, or a Figure."""
+    if isinstance(drawn, (tuple, list)):
+        drawn = drawn[0]
+    found = getattr(drawn, "figure", drawn)
+    return found  # type: ignore[no-any-return]
+
+
+def settings() -> dict[str, Any]:
+    """matplotlib's own defaults with ours on top, whatever the user's matplotlibrc says."""
+    import matplotlib
+
+    rc = {k: v for k, v in matplotlib.rcParamsDefault.items() if not k.startswith(("backend", "webagg", "tk.", "macosx", "date."))}
+    rc |= {"svg.fonttype": "none", "svg.hashsalt": "mfc-analysis", "font.family": ["DejaVu Sans"], "path.simplify": True, "path.simplify_threshold": 0.3,
+           "axes.unicode_minus": True}
+    return rc
+
+
+def svg(recipe: Any) -> str:
+    """A figure as SVG: same input, same bytes. ``recipe``: a callable without arguments, or what one returned."""
+    return svgs([recipe])[0]
+
+
+def svgs(recipes: Sequence[Any]) -> list[str]:
+    """Several figures as SVG, in order, in this process."""
+    import matplotlib
+
+    out = []
+    with _SAVING, matplotlib.rc_context(settings()):
+        for recipe in recipes:
+            figure = figure_of(recipe() if callable(recipe) else recipe)
+            text = io.StringIO()
+            figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+            out.append(text.getvalue())
+    return out

@@ -1,0 +1,152 @@
+"""Bode and Nyquist plots of one loop, its margins drawn on the curve. What the margins are is given; here they're only placed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.plots import figure as sheet
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+
+def phase_deg(L: ArrayLike, frequencies: ArrayLike, crossover: float = np.nan) -> Array:
+    """Phase [deg] without jumps, shifted by whole turns so that at the crossover it lies within 180 degrees of -180. L: (nf,) complex."""
+    w, values = np.asarray(frequencies, float), np.asarray(L, complex)
+    out: Array = np.degrees(np.unwrap(np.angle(values)))
+    if np.isfinite(crossover) and crossover > 0:
+        at = float(np.interp(np.log(crossover), np.log(w), out))
+    else:
+        at = float(out[np.argmin(np.abs(np.log(np.maximum(np.abs(values), 1e-300))))])
+    return out - 360.0 * np.round((at + 180.0) / 360.0)
+
+
+def bode(
+    frequencies: ArrayLike, L: ArrayLike, *, crossover: float = np.nan, phase_margin: float = np.nan, gain_increase: float = np.inf,
+    gain_reduction: float = 0.0, index: int = 0, title: str = "Open loop L(jω)", axes: tuple[Axes, Axes] | None = None,
+) -> tuple[Axes, Axes]:
+    """Magnitude and phase of L over frequency [rad/s], the phase margin at its crossover and both gain margins drawn on the curve.
+
+    Args:
+        frequencies: (nf,) [rad/s]; L: (nf,) complex. crossover [rad/s], phase_margin [deg], gain_increase and gain_reduction (factors): as in ``Margins``.
+        index: the joint, for its colour.
+    """
+    w, values = np.asarray(frequencies, float), np.asarray(L, complex)
+    upper, lower = axes if axes is not None else sheet.panels_for("bode")  # type: ignore[misc]
+    gain = 20 * np.log10(np.maximum(np.abs(values), 1e-12))
+    phase = phase_deg(values, w, crossover)
+    for ax, line in ((upper, gain), (lower, phase)):
+        sheet.log_grid(ax, w[0], w[-1])
+        ax.plot(w, line, color=sheet.colour(index), linewidth=1.3)
+    upper.axhline(0, color=sheet.INK, linewidth=0.7)
+    lower.axhline(-180, color=sheet.INK, linewidth=0.7)
+    _phase_ticks(lower, phase)
+    upper.set_ylim(max(gain.min(), -100) - 5, min(gain.max(), 120) + 5)
+    if np.isfinite(crossover) and np.isfinite(phase_margin):
+        _phase_arrow(upper, lower, w, phase, crossover, phase_margin)
+    for factor in (gain_increase, gain_reduction):
+        _gain_arrow(upper, lower, w, values, gain, factor)
+    sheet.hide_times((upper, lower))
+    sheet.label(upper, "", "|L| [dB]", title)
+    sheet.label(lower, "ω [rad/s]", "arg L [deg]")
+    return upper, lower
+
+
+def _phase_ticks(ax: Axes, phase: Array) -> None:
+    from matplotlib.ticker import MultipleLocator
+
+    low, high = max(phase.min(), -720.0), min(phase.max(), 360.0)
+    low, high = min(low, -190.0), max(high, -80.0)
+    ax.set_ylim(low - 10, high + 10)
+    ax.yaxis.set_major_locator(MultipleLocator(90 if high - low < 500 else 180))
+
+
+def _phase_arrow(upper: Axes, lower: Axes, w: Array, phase: Array, crossover: float, margin: float) -> None:
+    at = float(np.interp(np.log(crossover), np.log(w), phase))
+    for ax in (upper, lower):
+        ax.axvline(crossover, color=sheet.GOOD, linewidth=0.8, linestyle="--")
+    lower.annotate("", (crossover, at), (crossover, -180), arrowprops={"arrowstyle": "<->", "color": sheet.GOOD, "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
+    _beside(lower, w, f"PM {sheet.written(margin)}°", crossover, (at - 180) / 2, sheet.GOOD)
+
+
+def _gain_arrow(upper: Axes, lower: Axes, w: Array, values: NDArray[np.complex128], gain: Array, factor: float) -> None:
+    if not np.isfinite(factor) or factor <= 0:
+        return
+    where = _crossing(w, values, factor)
+    if where is None:
+        return
+    db = -20 * np.log10(factor)
+    for ax in (upper, lower):
+        ax.axvline(where, color=sheet.LIMIT, linewidth=0.8, linestyle=":")
+    upper.annotate("", (where, db), (where, 0), arrowprops={"arrowstyle": "<->", "color": sheet.LIMIT, "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
+    _beside(upper, w, f"GM {sheet.written(-db)} dB", where, db / 2, sheet.LIMIT)
+
+
+def _beside(ax: Axes, w: Array, text: str, x: float, y: float, color: str) -> None:
+    right = np.log(x / w[0]) > 0.62 * np.log(w[-1] / w[0])
+    low, high = ax.get_ylim()
+    y = float(np.clip(y, low + 0.08 * (high - low), high - 0.08 * (high - low)))
+    sheet.note(ax, f"{text} " if right else f" {text}", (x, y), color=color, ha="right" if right else "left")
+
+
+def _crossing(w: Array, values: NDArray[np.complex128], factor: float) -> float | None:
+    """The frequency on the drawn curve where L crosses the negative real axis nearest to -1/factor."""
+    flips = np.nonzero(np.diff(np.signbit(values.imag)) & (values.real[:-1] < 0))[0]
+    if flips.size == 0:
+        return None
+    a, b = values.imag[flips], values.imag[flips + 1]
+    part = a / np.where(a == b, 1.0, a - b)
+    real = values.real[flips] + part * np.diff(values.real)[flips]
+    best = int(np.argmin(np.abs(np.log(np.maximum(-real, 1e-300) * factor))))
+    if abs(np.log(max(-real[best], 1e-300) * factor)) > 0.25:
+        return None
+    return float(w[flips[best]] * (w[flips[best] + 1] / w[flips[best]]) ** part[best])
+
+
+def nyquist(
+    frequencies: ArrayLike, L: ArrayLike, *, sensitivity_peak: float = np.nan, phase_margin: float = np.nan, crossover: float = np.nan,
+    gain_increase: float = np.inf, gain_reduction: float = 0.0, index: int = 0, title: str = "Nyquist", ax: Axes | None = None,
+) -> Axes:
+    """L in the complex plane for positive (solid) and negative (dashed) frequencies, the unit circle, and the disc of radius 1/Ms about -1 that it never enters."""
+    w, values = np.asarray(frequencies, float), np.asarray(L, complex)
+    ax = ax if ax is not None else sheet.axes_for("nyquist")
+    turn = np.linspace(0, 2 * np.pi, 181)
+    ax.plot(np.cos(turn), np.sin(turn), color=sheet.GREY, linewidth=0.7, linestyle=":")
+    near = np.abs(values) < 40
+    shown = np.where(near, values, np.nan)
+    ax.plot(shown.real, shown.imag, color=sheet.colour(index), linewidth=1.3)
+    ax.plot(shown.real, -shown.imag, color=sheet.colour(index), linewidth=0.8, linestyle="--")
+    ax.plot([-1], [0], marker="+", markersize=7, markeredgewidth=1.4, color=sheet.BAD)
+    half = 2.05
+    ax.set_aspect("equal")
+    ax.set_ylim(-half, half)
+    ratio = ax.get_position().width * ax.figure.get_figwidth() / (ax.get_position().height * ax.figure.get_figheight())
+    ax.set_xlim(-1 - half * ratio * 1.05, -1 + half * ratio * 0.95 + 0.0)
+    ax.axhline(0, color=sheet.GRID, linewidth=0.8)
+    if np.isfinite(sensitivity_peak) and sensitivity_peak > 0:
+        radius = 1 / sensitivity_peak
+        ax.plot(-1 + radius * np.cos(turn), radius * np.sin(turn), color=sheet.LIMIT, linewidth=1.0)
+        sheet.note(ax, f"1/Ms = {sheet.written(radius)}", (-1, -radius - 0.14), color=sheet.LIMIT, ha="center", va="top")
+    if np.isfinite(crossover) and np.isfinite(phase_margin):
+        at = complex(np.interp(np.log(crossover), np.log(w), values.real), np.interp(np.log(crossover), np.log(w), values.imag))
+        arc = np.linspace(np.pi, np.pi + np.radians(phase_margin) * (1 if at.imag < 0 else -1), 60)
+        ax.plot(np.cos(arc), np.sin(arc), color=sheet.GOOD, linewidth=1.6)
+        ax.plot([at.real], [at.imag], marker="o", markersize=3.5, color=sheet.GOOD)
+    for factor in (gain_increase, gain_reduction):
+        if np.isfinite(factor) and factor > 0 and 1 / factor < 4:
+            ax.plot([-1 / factor], [0], marker="|", markersize=9, markeredgewidth=1.4, color=sheet.LIMIT)
+    sheet.label(ax, "Re L", "Im L", title)
+    return ax
+
+
+def of_channel(found: Any, row: int, channel: int) -> dict[str, float]:
+    """The keywords of ``bode`` from a ``Margins`` at one time and channel."""
+    return {
+        "crossover": float(found.crossover[row, channel]), "phase_margin": float(found.phase_deg[row, channel]),
+        "gain_increase": float(found.gain_increase[row, channel]), "gain_reduction": float(found.gain_reduction[row, channel]),
+    }

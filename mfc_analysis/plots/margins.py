@@ -1,0 +1,103 @@
+"""Margins against time: a line per channel, what was asked as a dashed line, the worst place marked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.errors import UnknownName
+from mfc_analysis.plots import figure as sheet
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+_NAMES = {
+    "phase_deg": "phase margin [deg]", "gain_increase_db": "gain increase [dB]", "gain_reduction_db": "gain reduction [dB]",
+    "delay": "delay margin [ms]", "sensitivity_peak": "sensitivity peak [-]",
+}
+_TIGHTEST = {"sensitivity_peak": "high"}
+
+
+def figure_values(found: Any, figure: str) -> Array:
+    """One figure of a ``Margins`` in the unit it is drawn in: (m, n). Raises ``UnknownName``."""
+    if figure not in _NAMES:
+        raise UnknownName("figure", figure, _NAMES)
+    with np.errstate(divide="ignore"):
+        if figure == "gain_increase_db":
+            return np.asarray(20 * np.log10(found.gain_increase))
+        if figure == "gain_reduction_db":
+            return np.asarray(-20 * np.log10(found.gain_reduction))
+    return np.asarray(getattr(found, figure), float) * (1e3 if figure == "delay" else 1.0)
+
+
+def margins(found: Any, *, figure: str = "phase_deg", asked: float | None = None, ax: Axes | None = None) -> Axes:
+    """One figure of a ``Margins`` against time, a line per channel, the worst one marked.
+
+    Args:
+        found: ``times`` (m,) [s], ``channels`` (n,), ``stable`` (m,), and the figure (m, n); NaN where unstable, inf where nothing limits (not drawn, said).
+        figure: "phase_deg", "gain_increase_db", "gain_reduction_db", "delay" (drawn in ms, ``asked`` in s) or "sensitivity_peak".
+    """
+    ax = ax if ax is not None else sheet.axes_for("time history")
+    values = figure_values(found, figure)
+    times = np.asarray(found.times, float)
+    shown = np.where(np.isfinite(values), values, np.nan)
+    for j, name in enumerate(found.channels):
+        if np.isnan(shown[:, j]).all():
+            continue
+        ax.plot(times, shown[:, j], color=sheet.colour(j), linewidth=1.3, label=str(name), marker="o" if times.size == 1 else None, markersize=3.5)
+    if asked is not None and np.isfinite(asked):
+        ax.axhline(asked * (1e3 if figure == "delay" else 1.0), color=sheet.LIMIT, linewidth=1.0, linestyle="--", zorder=1.5)
+    _unstable(ax, times, np.asarray(found.stable, bool))
+    _worst(ax, times, shown, high=figure in _TIGHTEST)
+    if times.size > 1:
+        ax.set_xlim(times[0], times[-1])
+    if np.isnan(shown).all():
+        said = "no limit at any time" if np.isposinf(values).any() else "unstable at every time"
+        sheet.note(ax, said, (0.5, 0.5), ha="center", inside=True)
+    elif not np.isfinite(values[np.asarray(found.stable, bool)]).all():
+        sheet.note(ax, "no limit where no line is drawn", (0.01, 0.06), color=sheet.GREY, inside=True)
+    sheet.label(ax, "t [s]", _NAMES[figure])
+    return ax
+
+
+def margin_history(found: Any, asked: Mapping[str, float] | None = None, *, figures: tuple[str, ...] = ("phase_deg", "gain_increase_db", "delay", "sensitivity_peak"),
+                   title: str = "") -> tuple[Axes, ...]:
+    """Several figures of a ``Margins`` above one another, with the limits of ``asked`` (by the names of ``Requirements``)."""
+    kinds = {1: "time history", 2: "two histories", 3: "three histories", 4: "four histories"}
+    if len(figures) not in kinds:
+        raise UnknownName("figures", len(figures), map(str, kinds))
+    axes = sheet.panels_for(kinds[len(figures)])
+    for ax, figure in zip(axes, figures, strict=True):
+        margins(found, figure=figure, asked=(asked or {}).get(figure), ax=ax)
+        ax.set_ylabel(_NAMES[figure].replace(" margin", "").replace("sensitivity peak [-]", "Ms [-]").replace(" increase", " up").replace(" reduction", " down"))
+        ax.set_xlabel("")
+    sheet.hide_times(axes)
+    sheet.label(axes[-1], "t [s]")
+    sheet.label(axes[0], title=title)
+    sheet.legend(axes[0], columns=8, above=True)
+    return axes
+
+
+def _unstable(ax: Axes, times: Array, stable: NDArray[np.bool_]) -> None:
+    if stable.all():
+        return
+    edges = np.concatenate(([times[0]], (times[1:] + times[:-1]) / 2, [times[-1]]))
+    for i in np.nonzero(~stable)[0]:
+        ax.axvspan(edges[i], max(edges[i + 1], edges[i] + 1e-9), color=sheet.SHADE, linewidth=0, zorder=0.2)
+
+
+def _worst(ax: Axes, times: Array, values: Array, high: bool) -> None:
+    if np.isnan(values).all():
+        return
+    flat = np.nanargmax(values) if high else np.nanargmin(values)
+    i, j = np.unravel_index(int(flat), values.shape)
+    ax.plot([times[i]], [values[i, j]], marker="o", markersize=5, markerfacecolor="none", markeredgecolor=sheet.BAD, markeredgewidth=1.2)
+    span = times[-1] - times[0]
+    right = span > 0 and (times[i] - times[0]) > 0.8 * span
+    sheet.note(ax, f"{sheet.written(values[i, j])}  " if right else f"  {sheet.written(values[i, j])}", (times[i], values[i, j]), color=sheet.BAD,
+               ha="right" if right else "left", va="bottom")

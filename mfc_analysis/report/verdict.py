@@ -1,0 +1,95 @@
+"""Banner, matrix and worst case of a document, computed from the checks of its sections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mfc_analysis.report.section import Check, Column, Document, Matrix, MatrixCell, Section, Status, Table, worst
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """The banner: a word, one sentence, and the worst loop with its place."""
+
+    status: Status
+    sentence: str
+    detail: str
+    check: Check | None          #: the worst one
+    section: Section | None      #: where it stands
+
+
+def every_check(document: Document) -> tuple[tuple[Section, Check], ...]:
+    """All checks of a document, each with its section, in the order of the pages."""
+    return tuple(pair for section in (*document.sections, *document.appendices) for pair in section.every_check())
+
+
+def verdict(document: Document) -> Verdict:
+    """The banner of a document. A section's own verdict counts as well as its checks; nothing asked: INFO."""
+    checks = every_check(document)
+    status = worst([s.status for s in (*document.sections, *document.appendices)])
+    if not checks:
+        return Verdict(status, "Nothing was asked of these loops", "No requirement was given, so there is nothing to pass or fail.", None, None)
+    section, check = max(checks, key=lambda pair: pair[1].severity)
+    missed = [c for _, c in checks if c.status is Status.FAIL]
+    watched = [c for _, c in checks if c.status is Status.WATCH]
+    if missed:
+        sentence = f"{_count(len(missed), len(checks))} missed"
+    elif watched:
+        sentence = f"All {len(checks)} limits are met, {len(watched)} of them with a reservation"
+    elif status is Status.PASS:
+        sentence = f"All {len(checks)} checks are met"
+    else:
+        sentence = f"All {len(checks)} checks are met, but a section has a reservation"
+    lead = "Worst" if missed or watched else "Tightest"
+    return Verdict(status, sentence, f"{lead}: {said(section, check)}.", check, section)
+
+
+def said(section: Section, check: Check) -> str:
+    """One check in words: what, found, asked, where and when."""
+    loop = section.loop or section.title
+    place = f" ({check.place})" if check.place else ""
+    asked = {"≥": "at least", "≤": "at most", "<": "below"}.get(check.sense, check.sense)
+    return f"{check.name} of {loop}: {check.value} against {asked} {str(check.limit)[len(check.sense):].strip()}{place}"
+
+
+def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
+    """Loops x checks, a row per loop name, the worst check where several share a cell; None when no section names its loop."""
+    cells: dict[str, dict[str, tuple[Section, Check]]] = {}
+    first: dict[str, Section] = {}
+    names: list[str] = []
+    for top in document.sections:
+        for section, check in top.every_check():
+            loop = section.loop or top.loop
+            if not loop:
+                continue
+            first.setdefault(loop, top if top.loop == loop else section)
+            row = cells.setdefault(loop, {})
+            if check.name not in names:
+                names.append(check.name)
+            if check.name not in row or check.severity > row[check.name][1].severity:
+                row[check.name] = (section, check)
+    if not cells:
+        return None
+    rows = tuple(
+        (loop, keys[id(first[loop])], tuple(_cell(row.get(name), keys) for name in names))
+        for loop, row in cells.items()
+    )
+    return Matrix("Every loop against every check; each cell leads to its evidence.", tuple(names), rows)
+
+
+def requirements(section: Section) -> Table:
+    """The checks of one section, failures first: check, value, limit, distance, where, result."""
+    rows = sorted(section.checks, key=lambda c: c.severity, reverse=True)
+    columns = (Column("Check", numeric=False), Column("Found"), Column("Asked"), Column("Distance"), Column("Where", numeric=False), Column("Result"))
+    return Table("What was asked of this loop, the worst first.", columns, tuple((c.name, c.value, c.limit, c.margin, c.place, c.status) for c in rows))
+
+
+def _cell(pair: tuple[Section, Check] | None, keys: dict[int, str]) -> MatrixCell | None:
+    if pair is None:
+        return None
+    section, check = pair
+    return MatrixCell(check.status, str(check.value), keys[id(section)])
+
+
+def _count(some: int, of: int) -> str:
+    return f"{some} of {of} checks {'is' if some == 1 else 'are'}"

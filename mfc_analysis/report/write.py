@@ -1,0 +1,80 @@
+"""Writing a document: HTML, PDF and JSON of one tree into one folder, the same bytes for the same input."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.report.section import Document
+
+FORMATS = ("html", "pdf", "json")
+
+
+def render(document: Document, folder: str | os.PathLike[str], formats: Sequence[str] = FORMATS, *, timestamp: int = 0) -> dict[str, Path]:
+    """Writes ``folder/name.html``, ``.pdf`` and ``.json``; returns the path of each format.
+
+    Args:
+        folder: made if it isn't there. Nothing is written outside of it: the files' name is ``document.name`` reduced to a-z, 0-9 and hyphens.
+        timestamp: the PDF's date [s since 1970]; a date is an input, never the clock.
+
+    Raises:
+        BadArgument: for a format that isn't there, or a folder that is a file.
+    """
+    from mfc_analysis.report.tree import slug
+
+    if isinstance(formats, str):
+        formats = tuple(formats.replace(",", " ").split())
+    for kind in formats:
+        if kind not in FORMATS:
+            raise BadArgument("formats", kind, "some of " + ", ".join(map(repr, FORMATS)))
+    target = Path(folder)
+    if target.exists() and not target.is_dir():
+        raise BadArgument("folder", str(folder), "a folder to write into")
+    pages = rendered(document, formats, timestamp=timestamp)
+    target.mkdir(parents=True, exist_ok=True)
+    name = slug(document.name)
+    out = {}
+    for kind, content in pages.items():
+        out[kind] = target / f"{name}.{kind}"
+        out[kind].write_bytes(content)
+    return out
+
+
+def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp: int = 0) -> dict[str, bytes]:
+    """The bytes of each format, in the order asked for."""
+    from mfc_analysis.report.numbers import numbers, to_json
+    from mfc_analysis.report.tree import tree
+
+    flat = tree(document)
+    version = package_version()
+    drawings, moving = {}, {}
+    if "html" in formats or "pdf" in formats:
+        from mfc_analysis.plots.batch import drawn
+
+        drawings = dict(zip(flat.figures, drawn([f.draw for f in flat.figures.values()]), strict=True))
+    out: dict[str, bytes] = {}
+    for kind in formats:
+        if kind == "html":
+            from mfc_analysis.report.equations import mathml
+            from mfc_analysis.report.html import html
+
+            out[kind] = html(flat, drawings, mathml(flat.equations), moving, version).encode("utf-8")
+        elif kind == "pdf":
+            from mfc_analysis.report.pdf import pdf
+
+            out[kind] = pdf(flat, drawings, moving, version, timestamp)
+        else:
+            out[kind] = to_json(numbers(document, flat, version)).encode("utf-8")
+    return out
+
+
+def package_version() -> str:
+    """The installed version of this package."""
+    try:
+        return version_of("mfc-analysis")
+    except PackageNotFoundError:
+        return "unknown"
