@@ -1,0 +1,30 @@
+"""References: joint-space and tool-space trajectories, and the way from one to the other."""
+
+from mfc_analysis.trajectories.joint import (
+    Hold,
+    JointPoint,
+    JointReference,
+    Quintic,
+    Sinusoid,
+    Waypoints,
+    from_csv,
+    warn_outside_limits,
+)
+from mfc_analysis.trajectories.tool import ToolCircle, ToolHold, ToolLine, ToolPoint, ToolReference, ToolSinusoid
+
+__all__ = [
+    "Hold",
+    "JointPoint",
+    "JointReference",
+    "Quintic",
+    "Sinusoid",
+    "ToolCircle",
+    "ToolHold",
+    "ToolLine",
+    "ToolPoint",
+    "ToolReference",
+    "ToolSinusoid",
+    "Waypoints",
+    "from_csv",
+    "warn_outside_limits",
+]
