@@ -1,0 +1,108 @@
+"""Figures of one scalar loop L = num/den from its polynomials, without sampling a frequency axis.
+
+Crossings are roots of polynomials in w^2, polished by Newton; the settling time is the last root of |1 - y(t)| = tolerance
+of the step response of T = L/(1 + L), by matrix exponentials, so that repeated poles do no harm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LoopFigures:
+    """Figures of T = L/(1 + L), L in negative feedback; ``inf`` where there is no such crossing, NaN throughout when T is unstable."""
+
+    stable: bool
+    bandwidth: float  #: [rad/s] lowest frequency where |T| falls to 1/sqrt(2) (-3 dB)
+    crossover: float  #: [rad/s] highest frequency where |L| = 1
+    phase_deg: float  #: [deg] phase margin at that crossover
+    settling_time: float  #: [s] last time at which the step response of T is ``tolerance`` away from 1
+    tolerance: float = 0.02  #: of the settling time: 2 %
+
+
+def loop_figures(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02) -> LoopFigures:
+    """Figures of the loop L = num/den (coefficients, highest power first; strictly proper, T(0) = 1)."""
+    n, d = np.trim_zeros(np.asarray(num, float), "f"), np.trim_zeros(np.asarray(den, float), "f")
+    closed = np.polyadd(n, d)
+    poles = np.roots(closed)
+    if np.any(poles.real >= 0):
+        return LoopFigures(False, math.nan, math.nan, math.nan, math.nan, tolerance)
+    unit = float(np.exp(np.mean(np.log(np.abs(poles)))))  # time in units of the mean pole
+    n, d, closed = (_scaled(p, unit) for p in (n, d, closed))
+    falls = _crossings(n, closed, 0.5)
+    ones = _crossings(n, d, 1.0)
+    crossover = ones[-1] if ones.size else math.inf
+    phase = math.inf
+    if ones.size:
+        L = np.polyval(n, 1j * crossover) / np.polyval(d, 1j * crossover)
+        phase = math.degrees(float(np.angle(-L)))
+    return LoopFigures(
+        True, float(falls[0] * unit) if falls.size else math.inf, float(crossover * unit), phase, _settling(d, closed, tolerance) / unit, tolerance
+    )
+
+
+def _scaled(p: Array, unit: float) -> Array:
+    return p * unit ** np.arange(p.size - 1, -1, -1)
+
+
+def _modulus_squared(p: Array) -> Array:
+    """Coefficients of |p(jw)|^2 in w^2."""
+    even = np.polymul(p, p * (-1.0) ** np.arange(p.size - 1, -1, -1))[::2]
+    return even * (-1.0) ** np.arange(even.size - 1, -1, -1)
+
+
+def _crossings(num: Array, den: Array, level: float) -> Array:
+    """Frequencies > 0 where |num/den|^2 = level, ascending."""
+    f = np.polysub(_modulus_squared(num), level * _modulus_squared(den))
+    roots = np.roots(f)
+    x = roots[(np.abs(roots.imag) <= 1e-7 * np.abs(roots)) & (roots.real > 0)].real
+    slope = np.polyder(f)
+    for _ in range(3):
+        step = np.polyval(slope, x)
+        x = x - np.divide(np.polyval(f, x), step, out=np.zeros_like(x), where=step != 0)
+    return np.asarray(np.sort(np.sqrt(x)))
+
+
+def _settling(den: Array, closed: Array, tolerance: float) -> float:
+    """Last time of |e(t)| = tolerance, e the error of a unit step: E = den / (closed s), den with a root at zero."""
+    from scipy.linalg import expm
+    from scipy.optimize import brentq
+
+    if closed[-1] == 0 or abs(den[-1]) > 1e-12 * abs(closed[-1]):
+        return math.inf  # a steady error that never goes away
+    k = closed.size - 1
+    A = np.diag(np.ones(k - 1), -1)
+    A[0] = -closed[1:] / closed[0]
+    c = np.zeros(k)
+    c[k - den.size + 1 :] = den[:-1] / closed[0]
+    poles = np.linalg.eigvals(A)
+    horizon = 16.0 / float(np.min(-poles.real))
+    samples = int(min(4e5, max(4000, 20 * horizon * np.max(np.abs(poles.imag)) / (2 * np.pi))))
+    e = _error_samples(A, c, horizon / samples, samples)
+    above = np.flatnonzero(np.abs(e) > tolerance)
+    if not above.size:
+        return 0.0
+    left = above[-1] * horizon / samples
+    right = left + horizon / samples
+
+    def excess(t: float) -> float:
+        return abs(float(c @ expm(A * t)[:, 0])) - tolerance
+
+    return float(brentq(excess, left, right, xtol=1e-14 * horizon, rtol=1e-13))
+
+
+def _error_samples(A: Array, c: Array, h: float, count: int) -> Array:
+    """c exp(A k h) e_1 for k = 0 .. count, by doubling."""
+    from scipy.linalg import expm
+
+    X, step = np.eye(A.shape[0])[:, :1], expm(A * h)
+    while X.shape[1] <= count:
+        X, step = np.hstack([X, step @ X]), step @ step
+    return np.asarray(c @ X[:, : count + 1])

@@ -1,0 +1,121 @@
+"""What a design helper returns: gains that unpack into a law, with their reason and what they achieve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Value = float | Array
+
+
+@dataclass(frozen=True, eq=False)
+class Achieved:
+    """What the loop with these gains does, measured on its polynomials; shape () or that of ``inertia``."""
+
+    bandwidth: Value  #: [rad/s] -3 dB of T = L/(1 + L)
+    crossover: Value  #: [rad/s] |L| = 1
+    settling_time: Value  #: [s] 2 % of the step response of T
+    natural_frequency: Value  #: [rad/s] of the dominant pair (of the pole of ``p``)
+    damping: Value  #: damping ratio of the dominant pair (1 for ``p``)
+    phase_deg: Value  #: [deg] phase margin at the crossover
+
+    def __str__(self) -> str:
+        def say(value: Value, scale: float = 1.0) -> str:
+            low, high = float(np.min(value)) * scale, float(np.max(value)) * scale
+            return f"{low:.4g}" if math.isclose(low, high, rel_tol=1e-6) or low == high else f"{low:.4g} .. {high:.4g}"
+
+        hz = 1 / (2 * math.pi)
+        return (
+            f"bandwidth {say(self.bandwidth)} rad/s ({say(self.bandwidth, hz)} Hz), crossover {say(self.crossover)} rad/s, "
+            f"2 % settling {say(self.settling_time)} s,\n          natural frequency {say(self.natural_frequency)} rad/s, "
+            f"damping {say(self.damping)}, phase margin {say(self.phase_deg)} deg"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Gains(Mapping[str, Value]):
+    """Gains that unpack into a law, with the reason for them. A mapping of the gains this design has, in SI units."""
+
+    values_: Mapping[str, Value]  #: the gains by the law's argument names
+    units: Mapping[str, str]  #: unit of each gain
+    formula: str  #: how they follow from what was asked
+    definition: str  #: what was asked, and what it means
+    loop: str  #: the loop they were made for
+    achieved: Achieved | None  #: measured on that loop; None where the loop is a matrix
+    notes: tuple[str, ...] = field(default=())  #: what else to know, a sentence each
+
+    def __getitem__(self, name: str) -> Value:
+        return self.values_[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.values_)
+
+    def __len__(self) -> int:
+        return len(self.values_)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    @property
+    def kp(self) -> Value | None:
+        """Proportional gain, None where this design has none."""
+        return self.values_.get("kp")
+
+    @property
+    def ki(self) -> Value | None:
+        """Integral gain, None where this design has none."""
+        return self.values_.get("ki")
+
+    @property
+    def kd(self) -> Value | None:
+        """Derivative gain, None where this design has none."""
+        return self.values_.get("kd")
+
+    @property
+    def kfp(self) -> Value | None:
+        """Proportional force gain [-], None where this design has none."""
+        return self.values_.get("kfp")
+
+    @property
+    def kfi(self) -> Value | None:
+        """Integral force gain [1/s], None where this design has none."""
+        return self.values_.get("kfi")
+
+    @property
+    def kdamp(self) -> Value | None:
+        """Velocity damping of the force law [N s/m], None where this design has none."""
+        return self.values_.get("kdamp")
+
+    def __str__(self) -> str:
+        shown = {name: np.array2string(np.asarray(value), precision=6, separator=", ") for name, value in self.values_.items()}
+        lines = [f"{name} = {text} [{self.units[name]}]" for name, text in shown.items()]
+        lines += [f"formula:  {self.formula}", f"asked:    {self.definition}", f"loop:     {self.loop}"]
+        if self.achieved is not None:
+            lines.append(f"achieved: {self.achieved}")
+        return "\n".join([*lines, *(f"note:     {note}" for note in self.notes)])
+
+    __repr__ = __str__
+
+
+class DampingMatrix(Gains, NDArrayOperatorsMixin):
+    """A stiffness ``kp`` and the damping matrix ``kd`` that goes with it; in numpy it behaves as that damping matrix, (6, 6)."""
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        return np.array(self.values_["kd"], dtype=dtype)
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        return getattr(ufunc, method)(*(np.asarray(x) if isinstance(x, DampingMatrix) else x for x in inputs), **options)
+
+    __hash__ = Gains.__hash__
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the damping matrix."""
+        return np.shape(self.values_["kd"])
