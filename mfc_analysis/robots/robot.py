@@ -7,10 +7,12 @@ tool frame at the tool origin. ``q``, ``v`` may carry any leading axes: ``(..., 
 from __future__ import annotations
 
 import os
+import threading
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +29,8 @@ Friction = Literal["urdf", "none"]
 COULOMB_SPEED = 1e-2  #: [rad/s or m/s] where tanh(v / COULOMB_SPEED) turns a friction's sign
 WARN_CONDITION, REFUSE_CONDITION = 1e4, 1e6  #: of the Jacobian, where task-space quantities warn and refuse
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  #: [m/s^2]
+
+_workspaces = threading.local()
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,20 +270,20 @@ class Robot:
     def mass(self, q: ArrayLike) -> Array:
         """(..., n, n) mass matrix M(q) of equation 9.7 [kg m^2, kg m or kg], armature included."""
         x = self.configuration(q)
-        data, pick = self.model.createData(), np.ix_(self.order, self.order)
+        data, pick = self._data(), np.ix_(self.order, self.order)
         return self._each(x, lambda i: build.upper_to_full(pin.crba(self.model, data, x[i]))[pick], (self.n, self.n))
 
     def gravity(self, q: ArrayLike) -> Array:
         """(..., n) gravity torque g(q) [N m or N]."""
         x = self.configuration(q)
-        data = self.model.createData()
+        data = self._data()
         return self._each(x, lambda i: pin.computeGeneralizedGravity(self.model, data, x[i])[self.order], (self.n,))
 
     def bias(self, q: ArrayLike, v: ArrayLike) -> Array:
         """(..., n) h(q, v) = C(q, v) v + g(q) [N m or N], without friction."""
         q, v = self._moving(q, v)
         x, v = self._configuration(q), self.to_model(v)
-        data = self.model.createData()
+        data = self._data()
         return self._each(x, lambda i: pin.nonLinearEffects(self.model, data, x[i], v[i])[self.order], (self.n,))
 
     def friction(self, v: ArrayLike) -> Array:
@@ -290,7 +294,7 @@ class Robot:
     def pose(self, q: ArrayLike) -> Array:
         """(..., 4, 4) pose X of the tool in the base."""
         x = self.configuration(q)
-        data = self.model.createData()
+        data = self._data()
 
         def one(i: Any) -> Array:
             pin.forwardKinematics(self.model, data, x[i])
@@ -301,7 +305,7 @@ class Robot:
     def jacobian(self, q: ArrayLike) -> Array:
         """(..., 6, n) body Jacobian: V_b = J v, (linear, angular) in the tool frame."""
         x = self.configuration(q)
-        data = self.model.createData()
+        data = self._data()
 
         def one(i: Any) -> Array:  # of a single joint Pinocchio returns (6,)
             J = np.reshape(pin.computeFrameJacobian(self.model, data, x[i], self.frame_id, pin.LOCAL), (6, self.n))
@@ -310,16 +314,17 @@ class Robot:
         return self._each(x, one, (6, self.n))
 
     def jacobian_rate(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """(..., 6) J'(q, v) v, the acceleration of the body twist where the joints do not accelerate: V_b' = J a + J' v."""
+        """(..., 6, n) J'(q, v), the rate of the body Jacobian: V_b' = J a + J' v."""
         q, v = self._moving(q, v)
         x, v = self._configuration(q), self.to_model(v)
-        data, zero = self.model.createData(), np.zeros(self.n)
+        data = self._data()
 
         def one(i: Any) -> Array:
-            pin.forwardKinematics(self.model, data, x[i], v[i], zero)
-            return np.array(pin.getFrameAcceleration(self.model, data, self.frame_id, pin.LOCAL).vector)
+            pin.computeJointJacobiansTimeVariation(self.model, data, x[i], v[i])
+            J_rate = np.reshape(pin.getFrameJacobianTimeVariation(self.model, data, self.frame_id, pin.LOCAL), (6, self.n))
+            return cast(Array, J_rate[:, self.order])
 
-        return self._each(x, one, (6,))
+        return self._each(x, one, (6, self.n))
 
     def task_inertia(self, q: ArrayLike) -> Array:
         """(..., 6, 6) Lambda = (J M^-1 J^T)^-1 of equation 9.15, J^-T M J^-1 where J is square.
@@ -336,7 +341,7 @@ class Robot:
         J, M = self.jacobian(q), self.mass(q)
         self._check_regular(J)
         a_bias = np.linalg.solve(M, self.bias(q, v)[..., None])
-        x: Array = _task_inertia(M, J) @ (J @ a_bias - self.jacobian_rate(q, v)[..., None])
+        x: Array = _task_inertia(M, J) @ (J @ a_bias - self.jacobian_rate(q, v) @ v[..., None])
         return x[..., 0]
 
     def joint_torques(self, q: ArrayLike, wrench: ArrayLike, frame: str = "tool") -> Array:
@@ -355,6 +360,14 @@ class Robot:
         return tau[..., 0]
 
     # --- inside ----------------------------------------------------------------------------------------------------------
+
+    def _data(self) -> pin.Data:
+        """Pinocchio's workspace of this robot in this thread; whatever is read from it is copied at once."""
+        if not hasattr(_workspaces, "of"):
+            _workspaces.of = WeakKeyDictionary()
+        if self not in _workspaces.of:
+            _workspaces.of[self] = self.model.createData()
+        return _workspaces.of[self]
 
     def _joints(self, argument: str, value: ArrayLike) -> Array:
         out = checks.array(argument, value)

@@ -1,5 +1,6 @@
 """References: joint-space and tool-space trajectories, and the way from one to the other."""
 
+from mfc_analysis.trajectories.inverse_kinematics import JointPath, from_tool_path, solve_pose
 from mfc_analysis.trajectories.joint import (
     Hold,
     JointPoint,
@@ -14,6 +15,7 @@ from mfc_analysis.trajectories.tool import ToolCircle, ToolHold, ToolLine, ToolP
 
 __all__ = [
     "Hold",
+    "JointPath",
     "JointPoint",
     "JointReference",
     "Quintic",
@@ -26,5 +28,7 @@ __all__ = [
     "ToolSinusoid",
     "Waypoints",
     "from_csv",
+    "from_tool_path",
+    "solve_pose",
     "warn_outside_limits",
 ]
