@@ -308,15 +308,21 @@ def _achieved(kind: str, gains: Mapping[str, Value], I: Array) -> Achieved:
         inertia = float(I[index])
         f = loop_figures(*_polynomials(kind, one, inertia))
         per = {name: value / inertia for name, value in one.items()}
-        w, zeta = {
-            "p": lambda g: (g["kp"], 1.0),
-            "pi": lambda g: (math.sqrt(g["ki"]), g["kp"] / (2 * math.sqrt(g["ki"]))),
-            "pd": lambda g: (math.sqrt(g["kp"]), g["kd"] / (2 * math.sqrt(g["kp"]))),
-            "pid": lambda g: (math.cbrt(g["ki"]), (g["kd"] / math.cbrt(g["ki"]) - 1) / 2),
-        }[kind](per)
+        w, zeta = _pair(kind, per)
         found.append((f.bandwidth, f.crossover, f.settling_time, w, zeta, f.phase_deg))
     columns = np.array(found).reshape(*I.shape, 6)
     return Achieved(*(float(c) if I.ndim == 0 else c for c in np.moveaxis(columns, -1, 0)))
+
+
+def _pair(kind: str, per: Mapping[str, float]) -> tuple[float, float]:
+    """Natural frequency and damping of the dominant poles, from gains per inertia."""
+    if kind == "p":
+        return per["kp"], 1.0
+    if kind == "pid":
+        w = math.cbrt(per["ki"])
+        return w, (per["kd"] / w - 1) / 2
+    square, linear = (per["ki"], per["kp"]) if kind == "pi" else (per["kp"], per["kd"])
+    return math.sqrt(square), linear / (2 * math.sqrt(square))
 
 
 def _joint_inertia(robot: Robot, q: Any) -> tuple[Array, Array, str]:
