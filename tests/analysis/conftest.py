@@ -61,11 +61,32 @@ def from_matrix(A: np.ndarray, integrals: tuple[int, ...] = (), dt: float = 0.0)
     )
 
 
-def scaled(system: OpenSystem, factor: float) -> OpenSystem:
-    """The same loop with its wire multiplied by ``factor``."""
+def random_loops(rng: np.random.Generator, m: int, nx: int, n: int) -> OpenSystem:
+    """m random loops of n wires with one input and one output beside: plants of both kinds, about half of them stable when closed."""
+    A = rng.normal(size=(m, nx, nx)) - 1.2 * np.sqrt(nx) * np.eye(nx) * rng.uniform(0.3, 1.2, size=(m, 1, 1))
+    A *= rng.uniform(0.3, 3, size=(m, nx, 1))
+    B, C = rng.normal(size=(m, nx, 1 + n)), rng.normal(size=(m, 1 + n, nx)) * 1.5
+    return OpenSystem(
+        times=np.arange(m, dtype=float),
+        A=A,
+        B=B,
+        C=C,
+        D=np.zeros((m, 1 + n, 1 + n)),
+        state_names=tuple(f"x{i}" for i in range(nx)),
+        input_names=("d",),
+        output_names=("y",),
+        wires={"torque": slice(0, n)},
+        wire_names=tuple(f"j{i}" for i in range(n)),
+        wire_delay=np.zeros(n),
+        points=("torque",),
+    )
+
+
+def scaled(system: OpenSystem, factor: float, wire: int = 0) -> OpenSystem:
+    """The same loop with one wire multiplied by ``factor``."""
     C, D = system.C.copy(), system.D.copy()
-    C[:, system.ny :] *= factor
-    D[:, system.ny :] *= factor
+    C[:, system.ny + wire] *= factor
+    D[:, system.ny + wire] *= factor
     return replace(system, C=C, D=D)
 
 

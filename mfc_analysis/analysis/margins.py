@@ -1,0 +1,304 @@
+"""Margins of one loop at a time, the others closed: gain interval, phase, delay, sensitivity peak.
+
+Definitions. The closed loop stays stable while loop i is multiplied by a gain in (reduction, increase), the largest such
+interval around 1; is turned by less than ``phase_deg`` at any of its crossovers, either way; is delayed by less than
+``delay``. The sensitivity peak is the supremum of |1/(1 + L_i)| over all frequencies, zero and infinity included.
+
+Nothing is sampled: every crossing comes from an eigenvalue problem (``crossings``) and is polished. Roots that are at zero
+are taken out first (``zero_roots``); the others are judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.channels import Channels, channels, continuous
+from mfc_analysis.analysis.crossings import Crossings, crossings
+from mfc_analysis.analysis.peak import sensitivity_peak
+from mfc_analysis.analysis.poles import Spectrum, spectrum, stability
+from mfc_analysis.analysis.resolvent import resolvent
+from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.analysis.zero_roots import without_zero_roots
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+FARTHEST = 1e9  #: a gain beyond this is infinite, one below its inverse zero
+
+
+@dataclass(frozen=True, eq=False)
+class Figures:
+    """The figures of n channels at m points; each field (m, n)."""
+
+    gain_reduction: Array  #: factor
+    gain_increase: Array  #: factor
+    reduction_frequency: Array  #: [rad/s] 0: a real root goes through zero; inf where there is no reduction
+    increase_frequency: Array  #: [rad/s] inf: no increase, or a root comes from infinity
+    phase_deg: Array  #: [deg]
+    crossover: Array  #: [rad/s]
+    delay: Array  #: [s]
+    delay_frequency: Array  #: [rad/s]
+    sensitivity_peak: Array
+    peak_frequency: Array  #: [rad/s] 0 and inf are possible
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The smallest margins of all times and channels; each value with its time [s] and channel."""
+
+    gain_increase: tuple[float, float, str]  #: factor
+    gain_reduction: tuple[float, float, str]  #: factor, the largest lower end
+    phase_deg: tuple[float, float, str]
+    delay: tuple[float, float, str]  #: [s]
+    sensitivity_peak: tuple[float, float, str]
+    unstable: tuple[float, ...]  #: [s] times at which the closed loop is not stable
+
+    def __str__(self) -> str:
+        if self.unstable and np.isnan(self.phase_deg[0]):
+            return f"unstable at t = {self.unstable[0]:.4g} s"
+        parts = (
+            f"phase {_angle(self.phase_deg[0])} ({self.phase_deg[2]}, t = {self.phase_deg[1]:.4g} s)",
+            f"gain up {_decibels(self.gain_increase[0])} ({self.gain_increase[2]}, t = {self.gain_increase[1]:.4g} s)",
+            f"gain down {_decibels(_inverse(self.gain_reduction[0]))} ({self.gain_reduction[2]}, t = {self.gain_reduction[1]:.4g} s)",
+            f"delay {_milliseconds(self.delay[0])} ({self.delay[2]}, t = {self.delay[1]:.4g} s)",
+            f"Ms {self.sensitivity_peak[0]:.3g} ({self.sensitivity_peak[2]}, t = {self.sensitivity_peak[1]:.4g} s)",
+        )
+        before = f"not stable at {len(self.unstable)} times, first t = {self.unstable[0]:.4g} s; elsewhere " if self.unstable else ""
+        return before + ", ".join(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """One-loop-at-a-time margins, the other loops closed, dead time included. ``m`` times, ``n`` channels.
+
+    Infinite (no such crossing) is ``inf``; where a root that is not at zero is unstable all figures are NaN. A channel of
+    "force" that is not sensed is NaN too. Gains beyond 1e9 count as infinite, below 1e-9 as zero.
+    """
+
+    times: Array  #: (m,) [s]
+    at: str  #: the analysis point
+    channels: tuple[str, ...]  #: (n,) names
+    stable: Bools  #: (m,) of the closed loop; read this first
+    drifts: Bools  #: (m,) a Jordan chain at zero; the figures are those of the other roots
+    gain_reduction: Array  #: (m, n) factor; stable for gains in (reduction, increase); 0: for all lower gains
+    gain_increase: Array  #: (m, n) factor; inf where no increase destabilises
+    reduction_frequency: Array  #: (m, n) [rad/s] of the root that crosses at the reduction; inf where there is none
+    increase_frequency: Array  #: (m, n) [rad/s] of the root that crosses at the increase; inf where there is none
+    phase_deg: Array  #: (m, n) smallest over all crossovers, lead or lag
+    crossover: Array  #: (m, n) [rad/s] the gain crossover where the phase margin is attained; inf where |L| is never one
+    delay: Array  #: (m, n) [s] smallest positive time
+    delay_frequency: Array  #: (m, n) [rad/s] the gain crossover where the delay margin is attained
+    sensitivity_peak: Array  #: (m, n) supremum of |1/(1 + L)|, at least 1
+    peak_frequency: Array  #: (m, n) [rad/s] where it is attained; 0 and inf are possible
+
+    @property
+    def gain_increase_db(self) -> Array:
+        """(m, n) [dB] 20 log10 of the gain increase."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(20 * np.log10(self.gain_increase))
+
+    @property
+    def gain_reduction_db(self) -> Array:
+        """(m, n) [dB] -20 log10 of the gain reduction: positive, inf where any reduction is harmless."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(-20 * np.log10(self.gain_reduction))
+
+    def worst(self) -> Worst:
+        """The smallest margins (largest reduction and peak) with their times and channels; unstable points are listed apart."""
+
+        def pick(values: Array, largest: bool) -> tuple[float, float, str]:
+            if np.isnan(values).all():
+                return float("nan"), float("nan"), "-"
+            flat = int(np.nanargmax(values) if largest else np.nanargmin(values))
+            i, k = np.unravel_index(flat, values.shape)
+            return float(values[i, k]), float(self.times[i]), self.channels[k]
+
+        return Worst(
+            gain_increase=pick(self.gain_increase, False),
+            gain_reduction=pick(self.gain_reduction, True),
+            phase_deg=pick(self.phase_deg, False),
+            delay=pick(self.delay, False),
+            sensitivity_peak=pick(self.sensitivity_peak, True),
+            unstable=tuple(float(t) for t in self.times[~self.stable]),
+        )
+
+    def __str__(self) -> str:
+        m = len(self.times)
+        drift = f", drifting at {int(self.drifts.sum())}" if self.drifts.any() else ""
+        worst = self.worst()
+        times = "1 time" if m == 1 else f"{m} times"
+        lines = [f"margins at {self.at!r}: {', '.join(self.channels)}; {times}, stable at {int(self.stable.sum())}{drift}"]
+        if not np.isnan(worst.phase_deg[0]):
+            low, high = worst.gain_reduction, worst.gain_increase
+            lines += [
+                f"  gain   down to {low[0]:.4g} ({low[2]}, t = {low[1]:.4g} s), up to {_factor(high[0])} ({high[2]}, t = {high[1]:.4g} s)",
+                f"  phase  {_angle(worst.phase_deg[0])} ({worst.phase_deg[2]}, t = {worst.phase_deg[1]:.4g} s); "
+                f"delay {_milliseconds(worst.delay[0])} ({worst.delay[2]}, t = {worst.delay[1]:.4g} s)",
+                f"  sensitivity peak {worst.sensitivity_peak[0]:.4g} ({worst.sensitivity_peak[2]}, t = {worst.sensitivity_peak[1]:.4g} s)",
+            ]
+        return "\n".join(lines)
+
+
+def margins(system: OpenSystem, at: str) -> Margins:
+    """Margins of every channel of the analysis point ``at`` at every point, dead time included.
+
+    Raises ``UnknownPoint`` where the loop cannot be opened there.
+    Source: the crossings follow from S_i(s) = d + c (sI - A)^-1 b, see ``crossings``.
+    """
+    ch = channels(system, at)
+    known = spectrum(system)
+    verdict = stability(system, known)
+    judged = verdict.nonzero_stable & (system.nx > known.roots.count)
+    if system.wire_delay.any() and not system.dt:
+        from mfc_analysis.analysis.delay_margins import delayed_figures
+
+        figures = delayed_figures(system, at, judged, known)
+    else:
+        figures = _figures(ch, judged, known)
+    if at == "force":
+        for values in vars(figures).values():
+            values[ch.empty] = np.nan
+    return Margins(system.times, at, ch.names, verdict.stable, verdict.drifts, **vars(figures))
+
+
+def _figures(ch: Channels, judged: Bools, known: Spectrum) -> Figures:
+    """Figures of all points, in groups of the same number of roots at zero; NaN where not judged."""
+    m, n = ch.H0.shape
+    figures = Figures(*(np.full((m, n), np.nan) for _ in range(10)))
+    plain = np.flatnonzero(judged & (known.roots.count == 0))
+    if plain.size:
+        _put(figures, plain, _figures_of(continuous(ch.at(plain)), ch.dt))
+    for count in np.unique(known.roots.count[judged & (known.roots.count > 0)]):
+        some = np.flatnonzero(judged & (known.roots.count == count))
+        clean, seen = _without_zeros(ch.at(some))
+        found = _figures_of(continuous(clean), ch.dt)
+        if seen.any():
+            hit = seen.any(axis=1)
+            with_zero = _figures_of(continuous(ch.at(some[hit])), ch.dt, sees_zero=seen[hit])
+            for name, values in vars(found).items():
+                values[seen] = getattr(with_zero, name)[seen[hit]]
+        _put(figures, some, found)
+    return figures
+
+
+def _put(figures: Figures, index: NDArray[np.int64], found: Figures) -> None:
+    for name, values in vars(figures).items():
+        values[index] = getattr(found, name)
+
+
+def _without_zeros(ch: Channels) -> tuple[Channels, Bools]:
+    """The channels without the roots at zero, and (m, n) which of them see these roots after all."""
+    one = np.eye(ch.A.shape[-1]) * (1.0 if ch.dt else 0.0)
+    parts = [without_zero_roots(a - one, b, c) for a, b, c in zip(ch.A, ch.B, ch.C, strict=True)]
+    seen = np.zeros(ch.H0.shape, bool)
+    for i, part in enumerate(parts):
+        row, size = part.C_zero, np.abs(part.C_zero)
+        rest = np.abs(part.C) @ np.abs(part.B)
+        for _ in range(len(part.A_zero)):
+            strength, scale = np.einsum("nk,kn->n", row, part.B_zero), np.einsum("nk,kn->n", size, np.abs(part.B_zero))
+            seen[i] |= np.abs(strength) > 1e-9 * (scale + np.diagonal(rest)) + 1e-300
+            row, size = row @ part.A_zero, size @ np.abs(part.A_zero)
+    eye = np.eye(len(parts[0].A)) * (1.0 if ch.dt else 0.0)
+    A, B, C = np.stack([p.A + eye for p in parts]), np.stack([p.B for p in parts]), np.stack([p.C for p in parts])
+    return Channels(ch.names, A, B, C, ch.H0, ch.dt), seen
+
+
+def _figures_of(ch: Channels, dt: float, sees_zero: Bools | None = None) -> Figures:
+    """Figures of stable channels in the s plane (or the w plane of a loop sampled at ``dt``)."""
+    found = resolvent(ch)
+    gain, phase = crossings(found)
+    at_zero = _at_zero(ch)
+    if sees_zero is not None:
+        at_zero = np.where(sees_zero, np.nan, at_zero)
+    peak, peak_at = sensitivity_peak(found, at_zero.astype(np.complex128))
+    if sees_zero is not None:
+        peak, peak_at = np.where(sees_zero, np.inf, peak), np.where(sees_zero, 0.0, peak_at)
+    figures = assembled(gain, phase, at_zero, ch.H0, lambda w: frequency(w, dt))
+    return Figures(**figures, sensitivity_peak=np.maximum(peak, 1.0), peak_frequency=frequency(peak_at, dt))
+
+
+def frequency(w: Array, dt: float) -> Array:
+    """[rad/s] of a place on the axis: w itself, or 2 atan(w) / dt in the w plane of a sampled loop."""
+    return np.asarray(2 * np.arctan(w) / dt) if dt else w
+
+
+def _at_zero(ch: Channels) -> Array:
+    """S_i(0) - 1 (m, n); -1 exactly where an integrator makes S vanish, 0 exactly where L does."""
+    try:
+        x = np.linalg.solve(ch.A, ch.B)
+    except np.linalg.LinAlgError:
+        x = np.linalg.pinv(ch.A) @ ch.B
+    terms = np.swapaxes(x, 1, 2) * ch.C
+    H, size = ch.H0 - terms.sum(axis=2), np.abs(terms).sum(axis=2) + np.abs(ch.H0)
+    H = np.where(np.abs(H + 1) < 1e-12 * (1 + size), -1.0, H)
+    return np.asarray(np.where(np.abs(H) < 1e-13 * size, 0.0, H))
+
+
+def assembled(gain: Crossings, phase: Crossings, at_zero: Array, at_infinity: Array, to_rads: Callable[[Array], Array]) -> dict[str, Array]:
+    """Gain interval, phase and delay margin (m, n) from crossings and from S - 1 at w = 0 and infinity (m, n), which are real.
+
+    ``to_rads`` turns a place on the axis into a frequency [rad/s] (``frequency``).
+    """
+    shape = at_zero.shape
+    increase, reduction = np.full(shape, np.inf), np.zeros(shape)
+    up_at, down_at = np.full(shape, np.inf), np.full(shape, np.inf)
+    for point, channel, H, w in (
+        (phase.point, phase.channel, phase.H.real, to_rads(phase.w)),
+        (*np.indices(shape).reshape(2, -1), at_zero.ravel(), np.zeros(at_zero.size)),
+        (*np.indices(shape).reshape(2, -1), at_infinity.ravel(), to_rads(np.full(at_zero.size, np.inf))),
+    ):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = (1 + H) / H
+        factor = np.where((factor > 1 / FARTHEST) & (factor < FARTHEST), factor, np.nan)
+        _least(increase, up_at, point, channel, np.where(factor > 1, factor, np.nan), w)
+        _least(reduction, down_at, point, channel, np.where(factor <= 1, -factor, np.nan), w)
+    turn = np.angle(-gain.L)
+    lag = np.where(turn > 0, turn, turn + 2 * np.pi)
+    rads = to_rads(gain.w)
+    phase_deg, crossover = np.full(shape, np.inf), np.full(shape, np.inf)
+    delay, delay_at = np.full(shape, np.inf), np.full(shape, np.inf)
+    _least(phase_deg, crossover, gain.point, gain.channel, np.degrees(np.abs(turn)), rads)
+    _least(delay, delay_at, gain.point, gain.channel, lag / rads, rads)
+    return {
+        "gain_reduction": -reduction + 0.0,
+        "gain_increase": increase,
+        "reduction_frequency": down_at,
+        "increase_frequency": up_at,
+        "phase_deg": phase_deg,
+        "crossover": crossover,
+        "delay": delay,
+        "delay_frequency": delay_at,
+    }
+
+
+def _least(best: Array, best_at: Array, point: NDArray[np.int64], channel: NDArray[np.int64], value: Array, at: Array) -> None:
+    """best[point, channel] = the least of itself and the values (NaN: none), best_at where that is."""
+    some = np.isfinite(value)
+    order = np.argsort(-value[some], kind="stable")  # of several for one place the last written, the least, stays
+    p, c, v, w = point[some][order], channel[some][order], value[some][order], at[some][order]
+    better = v < best[p, c]
+    best[p[better], c[better]], best_at[p[better], c[better]] = v[better], w[better]
+
+
+def _inverse(x: float) -> float:
+    return np.inf if x == 0 else 1 / x
+
+
+def _decibels(x: float) -> str:
+    return "unlimited" if np.isinf(x) else f"{20 * np.log10(x):.1f} dB"
+
+
+def _factor(x: float) -> str:
+    return "any" if np.isinf(x) else f"{x:.4g}"
+
+
+def _angle(x: float) -> str:
+    return "unlimited" if np.isinf(x) else f"{x:.1f} deg"
+
+
+def _milliseconds(x: float) -> str:
+    return "unlimited" if np.isinf(x) else f"{1e3 * x:.3g} ms"

@@ -1,0 +1,95 @@
+"""S_i(jw) - 1 and its slope at many frequencies of many channels: by modes where these are well conditioned, else by solving.
+
+A perfect model puts all poles on one spot; its eigenvectors are worthless (condition 1e14) and the modes are not used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.channels import Channels
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+
+CONDITION = 1e5  #: largest condition number of the eigenvectors with which modes are used: ten digits are left
+CHUNK = 4_000_000  #: complex numbers solved for at a time
+
+
+@dataclass(frozen=True, eq=False)
+class Resolvent:
+    """H_i(jw) = S_i(jw) - 1 = H0_i + c_i (jwI - A)^-1 b_i of channels (m points, n channels), ready to be evaluated."""
+
+    ch: Channels
+    poles: Complex  #: (m, nx)
+    residues: Complex  #: (m, n, nx) meaningless where not ``modal``
+    modal: NDArray[np.bool_]  #: (m,)
+
+    def at(self, point: Ints, channel: Ints, w: Array) -> tuple[Complex, Complex]:
+        """H and dH/dw, each (k,), of k cases: point, channel (k,) and w (k,) [rad/s]."""
+        H, slope = np.empty(w.shape, np.complex128), np.empty(w.shape, np.complex128)
+        modal = self.modal[point]
+        for some, by in ((modal, self._by_modes), (~modal, self._by_solving)):
+            if some.any():
+                H[some], slope[some] = by(point[some], channel[some], w[some])
+        H += self.ch.H0[point, channel]
+        return H, slope
+
+    def on(self, w: Array) -> Complex:
+        """H (m, n, k) of all channels on frequencies w (m, k) [rad/s] of each point."""
+        H = np.empty((*self.ch.H0.shape, w.shape[1]), np.complex128)
+        if self.modal.any():
+            gap = 1 / (1j * w[self.modal, None, :] - self.poles[self.modal, :, None])
+            H[self.modal] = self.residues[self.modal] @ gap
+        for i in np.flatnonzero(~self.modal):
+            H[i] = np.einsum("nx,kxn->nk", self.ch.C[i], _solved(self.ch.A[i], w[i], self.ch.B[i]))
+        H += self.ch.H0[:, :, None]
+        return H
+
+    def _by_modes(self, point: Ints, channel: Ints, w: Array) -> tuple[Complex, Complex]:
+        gap = 1 / (1j * w[:, None] - self.poles[point])
+        part = self.residues[point, channel] * gap
+        return part.sum(axis=1), -1j * (part * gap).sum(axis=1)
+
+    def _by_solving(self, point: Ints, channel: Ints, w: Array) -> tuple[Complex, Complex]:
+        nx = self.ch.A.shape[-1]
+        H, slope = np.empty(w.shape, np.complex128), np.empty(w.shape, np.complex128)
+        step = max(1, CHUNK // max(1, nx * nx))
+        for k in range(0, w.size, step):
+            p, c = point[k : k + step], channel[k : k + step]
+            matrix = 1j * w[k : k + step, None, None] * np.eye(nx) - self.ch.A[p]
+            row = self.ch.C[p, c]
+            x = np.linalg.solve(matrix, self.ch.B[p, :, c][:, :, None].astype(complex))
+            y = np.linalg.solve(matrix, x)
+            H[k : k + step] = (row * x[:, :, 0]).sum(axis=1)
+            slope[k : k + step] = -1j * (row * y[:, :, 0]).sum(axis=1)
+        return H, slope
+
+
+def resolvent(ch: Channels) -> Resolvent:
+    """Modes of the channels' common A, and at which points they can be trusted."""
+    poles, V = np.linalg.eig(ch.A)
+    poles, V = poles.astype(np.complex128), V.astype(np.complex128)
+    m = len(ch.A)
+    modal = np.abs(np.linalg.det(V)) > 0
+    inverse = np.zeros_like(V)
+    inverse[modal] = np.linalg.inv(V[modal])
+    condition = np.linalg.norm(V.reshape(m, -1), axis=1) * np.linalg.norm(inverse.reshape(m, -1), axis=1)
+    modal = modal & np.isfinite(condition) & (condition < CONDITION * np.sqrt(ch.A.shape[-1]))
+    residues = (ch.C @ V) * np.swapaxes(inverse @ ch.B, 1, 2)
+    return Resolvent(ch, poles, residues, modal)
+
+
+def _solved(A: Array, w: Array, B: Array) -> Complex:
+    """(jwI - A)^-1 B, (k, nx, n), of one A at frequencies w (k,)."""
+    nx = len(A)
+    out = np.empty((w.size, *B.shape), np.complex128)
+    step = max(1, CHUNK // max(1, nx * nx))
+    for k in range(0, w.size, step):
+        matrix = 1j * w[k : k + step, None, None] * np.eye(nx) - A
+        out[k : k + step] = np.linalg.solve(matrix, np.broadcast_to(B.astype(complex), (len(matrix), *B.shape)))
+    return out
