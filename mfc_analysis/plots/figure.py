@@ -110,9 +110,11 @@ def hide_times(axes: Sequence[Axes]) -> None:
         ax.tick_params(labelbottom=False)
 
 
-def note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK, ha: str = "left", va: str = "center", inside: bool = False) -> None:
-    """A remark at a point of the data (``inside``: of the axes, 0 to 1)."""
-    ax.text(*at, text, fontsize=_SMALL, color=color, ha=ha, va=va, transform=ax.transAxes if inside else ax.transData, clip_on=False)
+def note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK, ha: str = "left", va: str = "center", inside: bool = False,
+         mixed: bool = False, shift: tuple[float, float] = (0.0, 0.0)) -> None:
+    """A remark at a point of the data (``inside``: of the axes, 0 to 1; ``mixed``: x of the data, y of the axes), moved by ``shift`` [pt]."""
+    where = ax.transAxes if inside else ax.get_xaxis_transform() if mixed else ax.transData
+    ax.annotate(text, at, xycoords=where, xytext=shift, textcoords="offset points", fontsize=_SMALL, color=color, ha=ha, va=va, annotation_clip=False)
 
 
 def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = False) -> None:
@@ -146,6 +148,16 @@ def log_grid(ax: Axes, low: float, high: float) -> None:
 def written(value: float, digits: int = 3) -> str:
     """A number for a remark in a figure."""
     return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
+
+
+def decade(value: float) -> str:
+    """A tick label on a log-symmetric axis: plain to 1000, a power of ten beyond."""
+    size = abs(value)
+    if size in (0.0,) or 1e-3 <= size < 2e3:
+        return written(value, 4)
+    import math
+
+    return f"${'-' if value < 0 else ''}10^{{{round(math.log10(size))}}}$"
 
 
 def figure_of(drawn: Any) -> Figure:

@@ -60,10 +60,9 @@ def bode(
 def _phase_ticks(ax: Axes, phase: Array) -> None:
     from matplotlib.ticker import MultipleLocator
 
-    low, high = max(phase.min(), -720.0), min(phase.max(), 360.0)
-    low, high = min(low, -190.0), max(high, -80.0)
-    ax.set_ylim(low - 10, high + 10)
-    ax.yaxis.set_major_locator(MultipleLocator(90 if high - low < 500 else 180))
+    low, high = max(phase.min(), -380.0), min(phase.max(), 100.0)
+    ax.set_ylim(min(low, -190.0) - 15, max(high, -90.0) + 15)
+    ax.yaxis.set_major_locator(MultipleLocator(90))
 
 
 def _phase_arrow(upper: Axes, lower: Axes, w: Array, phase: Array, crossover: float, margin: float) -> None:
@@ -71,7 +70,8 @@ def _phase_arrow(upper: Axes, lower: Axes, w: Array, phase: Array, crossover: fl
     for ax in (upper, lower):
         ax.axvline(crossover, color=sheet.GOOD, linewidth=0.8, linestyle="--")
     lower.annotate("", (crossover, at), (crossover, -180), arrowprops={"arrowstyle": "<->", "color": sheet.GOOD, "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
-    _beside(lower, w, f"PM {sheet.written(margin)}°", crossover, (at - 180) / 2, sheet.GOOD)
+    below = at > -180
+    _beside(lower, w, f"PM {sheet.written(margin)}°", crossover, -180, sheet.GOOD, (0, -7 if below else 7))
 
 
 def _gain_arrow(upper: Axes, lower: Axes, w: Array, values: NDArray[np.complex128], gain: Array, factor: float) -> None:
@@ -80,18 +80,16 @@ def _gain_arrow(upper: Axes, lower: Axes, w: Array, values: NDArray[np.complex12
     where = _crossing(w, values, factor)
     if where is None:
         return
-    db = -20 * np.log10(factor)
+    db = 20 * np.log10(factor)
     for ax in (upper, lower):
         ax.axvline(where, color=sheet.LIMIT, linewidth=0.8, linestyle=":")
-    upper.annotate("", (where, db), (where, 0), arrowprops={"arrowstyle": "<->", "color": sheet.LIMIT, "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
-    _beside(upper, w, f"GM {sheet.written(-db)} dB", where, db / 2, sheet.LIMIT)
+    upper.annotate("", (where, -db), (where, 0), arrowprops={"arrowstyle": "<->", "color": sheet.LIMIT, "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
+    _beside(upper, w, f"GM {sheet.written(db)} dB", where, 0, sheet.LIMIT, (0, 7 if db > 0 else -7))
 
 
-def _beside(ax: Axes, w: Array, text: str, x: float, y: float, color: str) -> None:
-    right = np.log(x / w[0]) > 0.62 * np.log(w[-1] / w[0])
-    low, high = ax.get_ylim()
-    y = float(np.clip(y, low + 0.08 * (high - low), high - 0.08 * (high - low)))
-    sheet.note(ax, f"{text} " if right else f" {text}", (x, y), color=color, ha="right" if right else "left")
+def _beside(ax: Axes, w: Array, text: str, x: float, y: float, color: str, shift: tuple[float, float]) -> None:
+    right = np.log(x / w[0]) > 0.75 * np.log(w[-1] / w[0])
+    sheet.note(ax, text, (x, y), color=color, ha="right" if right else "left", shift=(-3 if right else 3, shift[1]))
 
 
 def _crossing(w: Array, values: NDArray[np.complex128], factor: float) -> float | None:
@@ -125,8 +123,9 @@ def nyquist(
     half = 2.05
     ax.set_aspect("equal")
     ax.set_ylim(-half, half)
-    ratio = ax.get_position().width * ax.figure.get_figwidth() / (ax.get_position().height * ax.figure.get_figheight())
-    ax.set_xlim(-1 - half * ratio * 1.05, -1 + half * ratio * 0.95 + 0.0)
+    box = ax.get_position(original=True)
+    ratio = box.width * ax.figure.get_figwidth() / (box.height * ax.figure.get_figheight())
+    ax.set_xlim(-0.8 - half * ratio, -0.8 + half * ratio)
     ax.axhline(0, color=sheet.GRID, linewidth=0.8)
     if np.isfinite(sensitivity_peak) and sensitivity_peak > 0:
         radius = 1 / sensitivity_peak

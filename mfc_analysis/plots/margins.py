@@ -99,5 +99,4 @@ def _worst(ax: Axes, times: Array, values: Array, high: bool) -> None:
     ax.plot([times[i]], [values[i, j]], marker="o", markersize=5, markerfacecolor="none", markeredgecolor=sheet.BAD, markeredgewidth=1.2)
     span = times[-1] - times[0]
     right = span > 0 and (times[i] - times[0]) > 0.8 * span
-    sheet.note(ax, f"{sheet.written(values[i, j])}  " if right else f"  {sheet.written(values[i, j])}", (times[i], values[i, j]), color=sheet.BAD,
-               ha="right" if right else "left", va="bottom")
+    sheet.note(ax, sheet.written(values[i, j]), (times[i], values[i, j]), color=sheet.BAD, ha="right" if right else "left", shift=(-5 if right else 5, 4))

@@ -74,7 +74,7 @@ def _thin(ax: Axes) -> None:
         step = max(1, -(-len(ticks) // most))
         kept = {x for i, x in enumerate(reversed(size)) if i % step == 0} | {0.0}
         axis.set_major_locator(FixedLocator(sorted(t for t in ticks if abs(t) in kept)))
-        axis.set_major_formatter(FuncFormatter(lambda v, _: sheet.written(v)))
+        axis.set_major_formatter(FuncFormatter(lambda v, _: sheet.decade(v)))
 
 
 def _unit_circle(ax: Axes) -> None:

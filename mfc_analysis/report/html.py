@@ -10,6 +10,7 @@ from importlib.resources import files
 from typing import Any
 from xml.etree import ElementTree
 
+from mfc_analysis.report.scrubber import Moving
 from mfc_analysis.report.tree import Tree
 
 _SVG = "http://www.w3.org/2000/svg"
@@ -29,12 +30,16 @@ def asset(name: str) -> bytes:
     return files("mfc_analysis.report").joinpath("assets", name).read_bytes()
 
 
-def html(tree: Tree, drawings: Mapping[str, str], formulas: Mapping[str, str], scrubbers: Mapping[str, tuple[str, Any]], version: str) -> str:
-    """The page. ``drawings``: SVG text by figure id; ``formulas``: MathML by id; ``scrubbers``: (SVG, data) by id."""
+def html(tree: Tree, drawings: Mapping[str, str], formulas: Mapping[str, str], scrubbers: Mapping[str, Moving], version: str) -> str:
+    """The page. ``drawings``: SVG text by figure id; ``formulas``: MathML by id; ``scrubbers`` by figure id."""
     figures = {}
     for key, text in drawings.items():
         figures[key] = inline_svg(text, key, tree.figures[key].alt)
-    moving = {key: {"svg": inline_svg(text, key, tree.scrubbers[key].alt), "data": script_json(data)} for key, (text, data) in scrubbers.items()}
+    moving = {}
+    for key, made in scrubbers.items():
+        alt = tree.scrubbers[key].alt
+        moving[key] = {"poles": inline_svg(made.poles, f"{key}-poles", "Poles. " + alt), "traces": inline_svg(made.traces, f"{key}-traces", "Margins. " + alt),
+                       "data": script_json(made.data)}
     font = base64.b64encode(asset("stix-two-math-subset.woff2")).decode("ascii") if formulas else ""
     return _template().render(
         root=tree.root, figures=figures, formulas=formulas, scrubbers=moving, font=font, css=asset("report.css").decode("utf-8"),

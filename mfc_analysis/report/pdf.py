@@ -9,19 +9,21 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from mfc_analysis.report.html import asset
+from mfc_analysis.report.scrubber import Moving
 from mfc_analysis.report.tree import Tree
 
 STANDARDS = ["a-2a", "ua-1"]
 
 
-def pdf(tree: Tree, drawings: Mapping[str, str], scrubbers: Mapping[str, tuple[str, Any]], version: str, timestamp: int = 0) -> bytes:
+def pdf(tree: Tree, drawings: Mapping[str, str], scrubbers: Mapping[str, Moving], version: str, timestamp: int = 0) -> bytes:
     """The PDF's bytes. ``drawings``: SVG text by figure id. ``timestamp`` [s since 1970] is the document's date: an input, so that same input gives same bytes."""
     import typst
 
-    pictures = dict(drawings) | {key: text for key, (text, _) in scrubbers.items()}
+    pictures = dict(drawings)
+    for key, moving in scrubbers.items():
+        pictures |= {f"{key}-poles": moving.poles, f"{key}-traces": moving.traces}
     widths = {key: _width(text) for key, text in pictures.items()}
     with TemporaryDirectory() as folder:
         root = Path(folder)

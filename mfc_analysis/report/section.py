@@ -95,21 +95,24 @@ class Number:
     infinite: str = "no limit"         #: the word for inf
     undefined: str = "not defined"     #: the word for NaN
     sign: str = ""                     #: "≥", "≤" or "<" before it
+    exact: bool = False                #: a number somebody chose: as short as it is, "45" and not "45.0"
 
     def __str__(self) -> str:
-        said = written(self.value, self.digits, self.infinite, self.undefined)
+        said = written(self.value, self.digits, self.infinite, self.undefined, self.exact)
         shown = said if not math.isfinite(self.value) or not self.unit else said + ("" if self.unit == "°" else " ") + self.unit
         return f"{self.sign} {shown}" if self.sign else shown
 
 
-def written(value: float, digits: int = 3, infinite: str = "no limit", undefined: str = "not defined") -> str:
-    """A number as a reader wants it: ``digits`` significant ones, a true minus sign, words for inf and NaN."""
+def written(value: float, digits: int = 3, infinite: str = "no limit", undefined: str = "not defined", exact: bool = False) -> str:
+    """A number as a reader wants it: ``digits`` significant ones (``exact``: as many as it has, up to 6), a true minus sign, words for inf and NaN."""
     if math.isnan(value):
         return undefined
     if math.isinf(value):
         return infinite if value > 0 else "minus " + infinite
     if value == 0:
         return "0"
+    if exact:
+        return f"{value:.6g}".replace("-", "\N{MINUS SIGN}")
     exponent = math.floor(math.log10(abs(value)))
     if -4 <= exponent < max(digits, 5):
         said = f"{value:.{max(digits - 1 - exponent, 0)}f}"
@@ -141,7 +144,7 @@ class Check:
     @property
     def place(self) -> str:
         """Where and when, in words; empty if neither is known."""
-        at = "" if self.when is None else f"t = {written(self.when)} s"
+        at = "" if self.when is None else f"t = {written(round(self.when, 4), exact=True)} s"
         return ", ".join(part for part in (self.where, at) if part)
 
     @property
@@ -152,7 +155,7 @@ class Check:
     @property
     def limit(self) -> Number:
         """What was asked."""
-        return Number(self.asked, self.unit, sign=self.sense)
+        return Number(self.asked, self.unit, sign=self.sense, exact=True)
 
     @property
     def margin(self) -> Number:

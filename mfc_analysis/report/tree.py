@@ -64,11 +64,9 @@ class _Builder:
         if scope is None:
             return ()
         parts = (("Model", scope.model), ("Assumptions", scope.assumptions), ("Operating points", scope.operating_points), ("Not checked", scope.not_checked))
-        body: list[s.Block] = []
-        for name, items in parts:
-            if items:
-                body += [s.Paragraph(s.Strong(name)), s.Bullets(items)]
-        return (s.Section("What this rests on", body=tuple(body), key="scope"),)
+        rows = tuple((s.Strong(name), _joined(items)) for name, items in parts if items)
+        table = s.Table("What the verdict rests on, and what nobody looked at.", (s.Column("Part", numeric=False), s.Column("Said", numeric=False)), rows)
+        return (s.Section("Scope", body=(table,), key="scope"),)
 
     def _back(self) -> tuple[s.Section, ...]:
         if not hasattr(self, "_after"):
@@ -106,7 +104,8 @@ class _Builder:
             s.Fact("What", check.name, found.section.loop or found.section.title), s.Fact("Found", check.value), s.Fact("Asked", check.limit),
             s.Fact("Where", check.place or "everywhere"),
         ))
-        text = (judged.said(found.section, check) + ". ", s.Link("See the evidence", self.keys[id(found.section)]), ".")
+        told = judged.said(found.section, check)
+        text = (told[:1].upper() + told[1:] + ". ", s.Link("See the evidence", self.keys[id(found.section)]), ".")
         section = s.Section("The worst case", finding=text, body=(facts,), key="worst-case", verdict=None)
         self._key(section)
         return section
@@ -239,6 +238,13 @@ def _blocks(blocks: Iterable[dict[str, Any]]) -> Iterable[dict[str, Any]]:
         yield from _blocks(block.get("figures", ()))
         for side in block.get("sides", ()):
             yield from _blocks(side["blocks"])
+
+
+def _joined(items: tuple[s.Text, ...]) -> tuple[s.Span, ...]:
+    out: list[s.Span] = []
+    for item in items:
+        out += [*(["; "] if out else []), *(item if isinstance(item, tuple) else (item,))]
+    return tuple(out)
 
 
 def complex_written(z: complex) -> str:

@@ -7,9 +7,13 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.report.section import Document
+
+if TYPE_CHECKING:
+    from mfc_analysis.report.scrubber import Moving
 
 FORMATS = ("html", "pdf", "json")
 
@@ -51,11 +55,14 @@ def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp:
 
     flat = tree(document)
     version = package_version()
-    drawings, moving = {}, {}
+    drawings: dict[str, str] = {}
+    moving: dict[str, Moving] = {}
     if "html" in formats or "pdf" in formats:
         from mfc_analysis.plots.batch import drawn
+        from mfc_analysis.report import scrubber
 
         drawings = dict(zip(flat.figures, drawn([f.draw for f in flat.figures.values()]), strict=True))
+        moving = {key: scrubber.moving(s) for key, s in flat.scrubbers.items()}
     out: dict[str, bytes] = {}
     for kind in formats:
         if kind == "html":

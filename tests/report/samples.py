@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from mfc_analysis.plots import frequency, margins, poles, steps
+from mfc_analysis import plots
 from mfc_analysis.report.section import (
-    Check, Column, Document, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Provenance, Row, Scope, Section, Status, Symbol, Table,
+    Check, Column, Document, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Provenance, Row, Scope, Scrubber, Section, Status, Symbol, Table, Trace,
 )
 
 
@@ -59,11 +59,11 @@ def figures() -> tuple[Figure, ...]:
     t = np.linspace(0, 0.6, 301)
     y = 0.2 * (1 - np.exp(-18 * t) * np.cos(9 * t))
     return (
-        Figure(partial(frequency.bode, w, L, **known), "Open-loop frequency response with gain and phase margin.", "Bode plot: phase margin 66 degrees at 47.6 rad/s, gain margin 24.6 dB."),
-        Figure(partial(frequency.nyquist, w, L, sensitivity_peak=1.17, **known), ("Nyquist curve; the circle is the disc of radius ", Math("1/M_s"), " about −1."), "Nyquist plot: Ms 1.17."),
-        Figure(partial(poles.poles, p, damping=0.5), "Closed-loop poles with the ray of damping 0.5.", "Pole map: slowest pole -2.97 per second."),
-        Figure(partial(steps.step, t, y, nonlinear=(t, y * 0.97), torque=(t, 60 * np.exp(-20 * t)), torque_limit=60, target=0.2, index=2), "Step of 200 mrad.", "Step response: overshoot 15.9 percent."),
-        Figure(partial(margins.margin_history, history(), {"phase_deg": 45.0, "sensitivity_peak": 1.7, "delay": 2e-3}), "Margins along the path.", "Margins against time: smallest phase margin 33 degrees."),
+        Figure(partial(plots.bode, w, L, **known), "Open-loop frequency response with gain and phase margin.", "Bode plot: phase margin 66 degrees at 47.6 rad/s, gain margin 24.6 dB."),
+        Figure(partial(plots.nyquist, w, L, sensitivity_peak=1.17, **known), ("Nyquist curve; the circle is the disc of radius ", Math("1/M_s"), " about −1."), "Nyquist plot: Ms 1.17."),
+        Figure(partial(plots.poles, p, damping=0.5), "Closed-loop poles with the ray of damping 0.5.", "Pole map: slowest pole -2.97 per second."),
+        Figure(partial(plots.step, t, y, nonlinear=(t, y * 0.97), torque=(t, 60 * np.exp(-20 * t)), torque_limit=60, target=0.2, index=2), "Step of 200 mrad.", "Step response: overshoot 15.9 percent."),
+        Figure(partial(plots.margin_history, history(), {"phase_deg": 45.0, "sensitivity_peak": 1.7, "delay": 2e-3}), "Margins along the path.", "Margins against time: smallest phase margin 33 degrees."),
     )
 
 
@@ -78,7 +78,12 @@ def document(overshoot: float = 15.9, title: str = "Joint 3 position loop") -> D
         KeyFacts((Fact("Phase margin", Number(66.0, "°"), "at 47.6 rad/s"), Fact("Gain margin", Number(24.6, "dB")), Fact("Delay margin", Number(23.9, "ms")))),
         Table("Parameters.", (Column(Math("K_p"), "Nm/rad"), Column(Math("K_i"), "Nm/(rad s)"), Column(Math("K_d"), "Nm s/rad")), ((820.0, 1900.0, 62.0),)),
     ))
-    three = Section("Frequency response", ("The loop crosses 0 dB at 47.6 rad/s; ", Math("M_s = 1.17"), "."), (Row((bode, nyquist)), path))
+    h = history()
+    turn = 1 + 0.3 * np.sin(np.pi * h.times[:, None] + np.arange(7))
+    moving = Scrubber(h.times, turn * np.array([-2.97, -14.7, -40.9, -306.8, -162 + 90j, -162 - 90j, -1600]), (
+        Trace("PM", "°", h.phase_deg.min(axis=1), 45.0), Trace("GM", "dB", 20 * np.log10(h.gain_increase.min(axis=1)), 6.0), Trace("Ms", "", h.sensitivity_peak.max(axis=1), 1.7),
+    ), int(h.phase_deg.min(axis=1).argmin()), "Poles (grey: their paths) and margins at one time of the path.", "Smallest phase margin 33 degrees at t = 1 s.")
+    three = Section("Frequency response", ("The loop crosses 0 dB at 47.6 rad/s; ", Math("M_s = 1.17"), "."), (Row((bode, nyquist)), path, moving))
     four = Section("Poles and time response", body=(Row((pole_map, step)), Table("Closed-loop poles, slowest first.", (Column("Pole", "1/s"), Column("Damping")), tuple((z, -z.real / abs(z)) for z in p))),
                    numbers={"poles": np.array(p), "gain_increase": np.inf})
     return Document(

@@ -1,0 +1,109 @@
+"""Simulated runs and other traces against time: a line per joint, limits dashed, events marked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.plots import figure as sheet
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_KINDS = ("time history", "two histories", "three histories", "four histories")
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One panel: what and its unit, values (m,) or (m, n), and a limit or a dashed comparison of the same shape, if any."""
+
+    quantity: str                          #: "error [rad]"
+    values: ArrayLike
+    limit: float | None = None             #: drawn at both signs unless all values are of one sign
+    beside: ArrayLike | None = None        #: another run of the same quantity, dashed in the same colours
+    log: bool = False
+
+
+def traces(t: ArrayLike, panels: Sequence[Panel], names: Sequence[str] = (), *, events: Sequence[tuple[float, str]] = (), title: str = "",
+           said: tuple[str, str] | None = None, first: int = 0) -> tuple[Axes, ...]:
+    """One to four panels above one another over time.
+
+    Args:
+        t: (m,) [s]. names: one for each column. events: (time [s], word), drawn as vertical lines. said: names of the solid and the dashed lines.
+        first: the joint of the first column, for its colour.
+
+    Raises:
+        BadArgument: no panel, or more than four.
+    """
+    if not 1 <= len(panels) <= len(_KINDS):
+        raise BadArgument("panels", len(panels), "one to four panels")
+    time = np.asarray(t, float)
+    axes = sheet.panels_for(_KINDS[len(panels) - 1])
+    for ax, panel in zip(axes, panels, strict=True):
+        _draw(ax, time, panel, names, first)
+        for when, _ in events:
+            ax.axvline(when, color=sheet.GREY, linewidth=0.8, linestyle=":")
+        if time.size > 1:
+            ax.set_xlim(time[0], time[-1])
+    for k, (when, word) in enumerate(events[:6]):
+        right = (when - time[0]) > 0.75 * (time[-1] - time[0])
+        sheet.note(axes[-1], word, (when, 0.92 - 0.14 * (k % 3)), color=sheet.GREY, ha="right" if right else "left", shift=(-3 if right else 3, 0), mixed=True)
+    sheet.hide_times(axes)
+    sheet.label(axes[-1], "t [s]")
+    sheet.label(axes[0], title=title)
+    if said is not None:
+        axes[0].plot([], [], color=sheet.GREY, linewidth=1.3, label=said[0])
+        axes[0].plot([], [], color=sheet.GREY, linewidth=1.1, linestyle="--", label=said[1])
+    sheet.legend(axes[0], columns=9, above=True)
+    return axes
+
+
+def _draw(ax: Axes, time: np.ndarray, panel: Panel, names: Sequence[str], first: int) -> None:
+    values = np.asarray(panel.values, float)
+    values = values[:, None] if values.ndim == 1 else values
+    for j in range(values.shape[1]):
+        name = {"label": str(names[j])} if j < len(names) else {}
+        ax.plot(time, values[:, j], color=sheet.colour(first + j), linewidth=1.2, **name)
+    if panel.beside is not None:
+        other = np.asarray(panel.beside, float)
+        other = other[:, None] if other.ndim == 1 else other
+        for j in range(other.shape[1]):
+            ax.plot(time, other[:, j], color=sheet.colour(first + j), linewidth=1.1, linestyle="--")
+    if panel.limit is not None and np.isfinite(panel.limit):
+        for side in (1, -1) if np.nanmin(values) < 0 < np.nanmax(values) else (1,):
+            ax.axhline(side * panel.limit, color=sheet.LIMIT, linewidth=1.0, linestyle="--", zorder=1.5)
+    if panel.log:
+        ax.set_yscale("log")
+        ax.yaxis.set_minor_locator(_none())
+    sheet.label(ax, "", panel.quantity)
+
+
+def _none() -> object:
+    from matplotlib.ticker import NullLocator
+
+    return NullLocator()
+
+
+def curves(x: ArrayLike, series: Sequence[tuple[str, ArrayLike]], *, xlabel: str, ylabel: str, log: str = "", limit: float | None = None, title: str = "",
+           ax: Axes | None = None) -> Axes:
+    """Curves of one quantity over a parameter, e.g. a margin over stiffness. ``log``: "x", "y" or "xy"."""
+    ax = ax if ax is not None else sheet.axes_for("map")
+    at = np.asarray(x, float)
+    for j, (name, y) in enumerate(series):
+        ax.plot(at, np.asarray(y, float), color=sheet.colour(j), linewidth=1.3, label=name)
+    if "x" in log:
+        ax.set_xscale("log")
+        ax.xaxis.set_minor_locator(_none())
+    if "y" in log:
+        ax.set_yscale("log")
+        ax.yaxis.set_minor_locator(_none())
+    if limit is not None and np.isfinite(limit):
+        ax.axhline(limit, color=sheet.LIMIT, linewidth=1.0, linestyle="--")
+    sheet.label(ax, xlabel, ylabel, title)
+    sheet.legend(ax)
+    return ax
