@@ -1,0 +1,206 @@
+r"""Time-varying loops: period maps, Floquet multipliers, the periodic orbit itself, transient growth on finite paths.
+
+Frozen poles prove nothing on a moving trajectory. With A(t) the exact linearisation along the motion, Phi' = A(t) Phi, Phi(0) = I;
+the eigenvalues of Phi(T, 0) are the multipliers, and they alone decide a periodic loop. Phi is advanced by Magnus steps of fourth
+order on two Gauss-Legendre nodes,
+
+.. math:: \Omega = \frac{h}{2}(A_1 + A_2) + \frac{\sqrt 3}{12} h^2 [A_2, A_1], \qquad \Phi_{k+1} = e^{\Omega} \Phi_k .
+
+Source: Blanes, Casas, Oteo, Ros, "The Magnus expansion and some of its applications", Physics Reports 470 (2009), section 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.errors import BadArgument, NotConverged
+from mfc_analysis.maths.expm import expm
+
+Array = NDArray[np.float64]
+PeriodMap = Callable[[Array], tuple[Array, Array]]
+
+_NODES = np.array([0.5 - math.sqrt(3) / 6, 0.5 + math.sqrt(3) / 6])
+
+
+class FloquetVerdict(Enum):
+    """What the multipliers say about the motion; the value is the sentence."""
+
+    STABLE = "stable: every disturbance of the periodic motion dies out"
+    NEUTRAL = "neutral: some disturbances of the periodic motion stay, none grows"
+    DRIFTS = "drifts: a disturbance of the periodic motion grows steadily, period by period, without a rate"
+    UNSTABLE = "unstable: a disturbance of the periodic motion grows, period by period"
+    PERIOD_DOUBLING = "unstable by period doubling: a disturbance changes sign every period and grows"
+
+
+@dataclass(frozen=True, eq=False)
+class Floquet:
+    """Multipliers of a periodic loop, with what they mean."""
+
+    period: float  #: [s]
+    multipliers: NDArray[np.complex128]  #: (nx,) eigenvalues of Phi(T, 0), the largest modulus first
+    exponents: NDArray[np.complex128]  #: (nx,) [1/s, rad/s] log(multipliers) / T, imaginary parts within pi/T
+    growth: float  #: factor by which the slowest disturbance changes in a period: the largest modulus (of those not neutral)
+    verdict: FloquetVerdict
+    neutral: int  #: multipliers at 1 that neither grow nor decay
+    Phi: Array  #: (nx, nx) the period map
+    orbit: Array | None = None  #: (nx,) state of the periodic orbit at its start, where it was computed
+    iterations: int = 0  #: Newton iterations that found it
+    residual: float = 0.0  #: |x(T) - x(0)| there
+
+    @property
+    def exponent(self) -> float:
+        """Largest Floquet exponent [1/s]: log(growth) / T; negative is stable."""
+        return math.log(self.growth) / self.period if self.growth > 0 else -math.inf
+
+    @property
+    def stable(self) -> bool:
+        """Whether every disturbance dies out (neutral ones excepted, as for frozen poles)."""
+        return self.verdict in (FloquetVerdict.STABLE, FloquetVerdict.NEUTRAL)
+
+    def __str__(self) -> str:
+        worst = self.multipliers[np.argmin(np.abs(np.abs(self.multipliers) - self.growth))]
+        return (
+            f"{self.verdict.value}\ngrowth per period {self.growth:.6g} (T = {self.period:.4g} s), exponent {self.exponent:.4g} 1/s; "
+            f"its multiplier {abs(worst):.6g} at {math.degrees(math.atan2(worst.imag, worst.real)):.1f} deg"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """A fixed point of a period map."""
+
+    x: Array  #: (nx,) x(T) = x(0)
+    Phi: Array  #: (nx, nx) the derivative of x(T) with respect to x(0), there
+    iterations: int
+    residual: float  #: |x(T) - x(0)|
+
+
+@dataclass(frozen=True, eq=False)
+class TransientGrowth:
+    """How far a disturbance can grow on the way, in the loop's own coordinates. ``float()`` gives the largest."""
+
+    times: Array  #: (N,) [s]
+    singular: Array  #: (N,) largest singular value of Phi(t, 0)
+    largest: float  #: the largest of them, >= 1
+    time: float  #: [s] when
+    direction: Array  #: (nx,) the unit initial disturbance that grows so
+
+    def __float__(self) -> float:
+        return self.largest
+
+    def __str__(self) -> str:
+        return f"a disturbance grows at most {self.largest:.4g} times, at t = {self.time:.4g} s; at the end {self.singular[-1]:.4g} times"
+
+
+def gauss_nodes(edges: Array) -> Array:
+    """(N, 2) times at which ``transition_magnus`` wants A, for steps between the N + 1 ``edges`` [s]."""
+    edges = np.asarray(edges, float)
+    return np.asarray(edges[:-1, None] + np.diff(edges)[:, None] * _NODES)
+
+
+def transition_magnus(A_nodes: Array, h: float | Array) -> Array:
+    """(N, n, n) transition matrices of N steps, Phi_k+1 = E_k Phi_k, fourth order in h.
+
+    A_nodes: (N, 2, n, n), A at ``gauss_nodes``; h: step length(s) [s], scalar or (N,).
+    """
+    h = np.broadcast_to(np.asarray(h, float), A_nodes.shape[:1])[:, None, None]
+    A1, A2 = A_nodes[:, 0], A_nodes[:, 1]
+    return expm(h / 2 * (A1 + A2) + math.sqrt(3) / 12 * h**2 * (A2 @ A1 - A1 @ A2))
+
+
+def accumulated(steps: Array) -> Array:
+    """(N + 1, n, n): Phi(t_k, 0) from the N transition matrices of the steps, the first is I."""
+    out = np.empty((steps.shape[0] + 1, *steps.shape[1:]))
+    out[0] = np.eye(steps.shape[-1])
+    for k, E in enumerate(steps):
+        np.matmul(E, out[k], out=out[k + 1])
+    return out
+
+
+def period_map(steps: Array) -> Array:
+    """(n, n): the product of all steps, the last on the left, multiplied pairwise in batches."""
+    while steps.shape[0] > 1:
+        paired = steps[1::2] @ steps[: 2 * (steps.shape[0] // 2) : 2]
+        steps = np.concatenate([paired, steps[-1:]]) if steps.shape[0] % 2 else paired
+    return steps[0] if steps.shape[0] else np.eye(steps.shape[-1])
+
+
+def floquet(Phi: Array, period: float, tolerance: float = 1e-7, orbit: Orbit | None = None) -> Floquet:
+    """The verdict on a period map Phi (nx, nx) over ``period`` [s].
+
+    Multipliers at 1 (free positions, integrals that act on nothing) are found by rank, relative to ``tolerance`` (the accuracy of Phi);
+    semisimple ones are neutral, in a chain they drift. On the unit circle otherwise counts as not stable, as an undamped pair does.
+    """
+    Phi = np.asarray(Phi, float)
+    mu = np.linalg.eigvals(Phi).astype(np.complex128)
+    mu = mu[np.argsort(-np.abs(mu), kind="stable")]
+    neutral, chained = _ones(Phi, tolerance)
+    rest = mu[np.argsort(np.abs(mu - 1), kind="stable")[chained:]]
+    worst = rest[np.argmax(np.abs(rest))] if rest.size else 0j
+    growth = float(abs(worst)) if rest.size else 1.0
+    if rest.size and growth >= 1 - tolerance:
+        flips = worst.real < 0 and abs(worst.imag) <= 1e-6 * growth
+        verdict = FloquetVerdict.PERIOD_DOUBLING if flips else FloquetVerdict.UNSTABLE
+    elif chained > neutral:
+        verdict, growth = FloquetVerdict.DRIFTS, 1.0
+    else:
+        verdict = FloquetVerdict.NEUTRAL if neutral else FloquetVerdict.STABLE
+    with np.errstate(divide="ignore"):
+        exponents = np.log(mu) / period
+    found = {} if orbit is None else {"orbit": orbit.x, "iterations": orbit.iterations, "residual": orbit.residual}
+    return Floquet(float(period), mu, exponents, growth, verdict, neutral, Phi, **found)  # type: ignore[arg-type]
+
+
+def _ones(Phi: Array, tolerance: float) -> tuple[int, int]:
+    """How many multipliers at 1 are semisimple directions, and how many there are with their chains."""
+    N = Phi - np.eye(Phi.shape[0])
+    scale = max(1.0, float(np.linalg.norm(Phi, 2)))
+    single = int(np.sum(np.linalg.svd(N, compute_uv=False) <= tolerance * scale))
+    if single == 0:
+        return 0, 0
+    return single, max(single, int(np.sum(np.linalg.svd(N @ N, compute_uv=False) <= tolerance * scale**2)))
+
+
+def shoot(advance: PeriodMap, x0: Array, tolerance: float = 1e-10, iterations: int = 25) -> Orbit:
+    """The periodic orbit near ``x0`` by Newton: x <- x + (I - Phi)^-1 (x(T) - x), halved while the residual grows.
+
+    ``advance(x)`` returns x(T) and Phi = dx(T)/dx, (nx,) and (nx, nx); only the difference x(T) - x counts, so an angle that turns
+    through 2 pi belongs in ``advance``. Directions in which I - Phi is singular (neutral ones) stay as they are. Converged when
+    |x(T) - x| <= tolerance (1 + |x|). Raises ``NotConverged`` with the residual.
+    """
+    x = np.array(x0, float)
+    end, Phi = advance(x)
+    size = float(np.linalg.norm(end - x))
+    for count in range(iterations + 1):
+        goal = tolerance * (1 + float(np.linalg.norm(x)))
+        if size <= goal:
+            return Orbit(x, np.array(Phi), count, size)
+        if not np.isfinite(size) or count == iterations:
+            break
+        step = np.linalg.lstsq(np.eye(x.size) - Phi, end - x, rcond=1e-11)[0]
+        for fraction in (1.0, 0.5, 0.25, 0.125, 0.0625, 0.01):
+            tried = x + fraction * step
+            end_tried, Phi_tried = advance(tried)
+            size_tried = float(np.linalg.norm(end_tried - tried))
+            if size_tried < size:
+                break
+        else:
+            break
+        x, end, Phi, size = tried, end_tried, Phi_tried, size_tried
+    raise NotConverged(f"no periodic orbit found: |x(T) - x(0)| = {size:.3g} after {count} Newton iterations, asked {goal:.3g}; start nearer")
+
+
+def transient_growth(Phi: Array, times: Array) -> TransientGrowth:
+    """Largest singular value of Phi(t, 0) over the times of a finite path. Phi: (N, n, n), times: (N,) [s]."""
+    if Phi.ndim != 3 or Phi.shape[0] != np.size(times) or Phi.shape[0] == 0:
+        raise BadArgument("Phi", f"shape {Phi.shape}", f"transition matrices (N, n, n) at N = {np.size(times)} times, at least one")
+    singular = np.linalg.norm(Phi, 2, axis=(-2, -1))
+    k = int(np.argmax(singular))
+    direction = np.linalg.svd(Phi[k])[2][0]
+    return TransientGrowth(np.array(times, float), singular, float(singular[k]), float(np.asarray(times)[k]), direction)
