@@ -1,0 +1,86 @@
+"""The same gains on the diagonal of M: what an independent-joint design believes (beside what really happens, on the whole of M)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.equations import Equations
+from mfc_analysis.errors import Unsupported
+from mfc_analysis.jacobians import open_system
+from mfc_analysis.maths.dual import Dual
+from mfc_analysis.operating_point import OperatingPoint
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Decentralised:
+    """n separate loops at m times, k states each: M_jj q'' + b_j q' + (dg/dq)_jj q = tau under the law's own diagonal."""
+
+    times: Array  #: (m,) [s]
+    joints: tuple[str, ...]  #: n
+    A: Array  #: (m, n, k, k)
+    b: Array  #: (m, n, k) column of the joint's torque (velocity) command
+    c: Array  #: (m, n, k) row of the command: command = c x
+
+    def poles(self) -> NDArray[np.complex128]:
+        """(m, n, k) closed-loop poles [1/s] of each joint alone, slowest first."""
+        found = np.linalg.eigvals(self.A).astype(complex)
+        return np.take_along_axis(found, np.argsort(-found.real, axis=-1, kind="stable"), axis=-1)
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """(m, n) every pole in the open left half plane."""
+        poles = self.poles()
+        return np.asarray(np.all(poles.real < -1e-10 * np.abs(poles), axis=-1))
+
+
+def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
+    """The loop joint by joint. Raises Unsupported for tool and force laws, sampled loops, and an n x n outer loop."""
+    law, n = equations.law, equations.n
+    if law.space == "tool" or law.senses_force or hasattr(law, "F_d") or equations.hardware.sample_time is not None or equations.algebraic:
+        raise Unsupported("decentralised", type(law).__name__, "a joint-space law in continuous time: a loop for each joint")
+    system = open_system(equations, point.times, point.x)
+    m = len(point.times)
+    picks = []
+    for where, slot in equations.parts.values():
+        size = where.stop - where.start
+        if size % n or (slot.name == "outer" and getattr(law, "system")[3].shape != (1, 1)):
+            raise Unsupported("decentralised", type(law).__name__, "an outer loop that is the same for each joint")
+        picks.append(where.start + np.arange(size).reshape(n, -1))
+    index = np.concatenate(picks, axis=1)  # (n, k) the states of each joint
+    wire = system.wires[equations.actuator]
+    torque = equations.actuator == "torque"
+    keep = np.zeros(system.nw, bool)
+    keep[wire] = True
+    A_law, B_law, C_law, _ = close_wires(system, keep)
+    b = np.stack([B_law[:, i, system.nu + j] for j, i in enumerate(index)], axis=1)
+    c = np.stack([C_law[:, system.ny + j, :][:, i] for j, i in enumerate(index)], axis=1)
+    A = np.stack([A_law[:, i[:, None], i] for i in index], axis=1)
+    if torque:
+        q, v = (equations.parts[name].where for name in ("q", "v"))
+        x = point.x
+        plant = equations.plant
+        M = np.diagonal(plant.at(np.ascontiguousarray(x[:, q])).M, axis1=1, axis2=2)
+        g = plant.gravity(Dual(np.ascontiguousarray(x[:, q]), np.broadcast_to(np.eye(n), (m, n, n))))
+        friction = plant.friction(Dual(x[:, v], np.broadcast_to(np.eye(n), (m, n, n))))
+        assert isinstance(g, Dual) and isinstance(friction, Dual)
+        stiffness, viscous = np.diagonal(g.tangent, axis1=1, axis2=2), np.diagonal(friction.tangent, axis1=1, axis2=2)
+        A[:, :, 1, :] = 0.0
+        A[:, :, 1, 0], A[:, :, 1, 1] = -stiffness / M, -viscous / M
+        names = list(equations.parts)
+        if "theta" in names:
+            hardware = equations.hardware
+            K = hardware.per_joint("joint_stiffness", n)
+            D = hardware.per_joint("joint_damping", n) if hardware.joint_damping is not None else np.zeros(n)
+            for column, gain in ((0, -K), (1, -D), (2, K), (3, D)):
+                A[:, :, 1, column] += gain / M
+        elif "lag" in names:
+            A[:, :, 1, -1] += 1 / M
+        else:
+            b[:, :, 1] = 1 / M
+    return Decentralised(point.times, equations.robot.joint_names, A + b[..., :, None] * c[..., None, :], b, c)

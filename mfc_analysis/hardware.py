@@ -1,0 +1,81 @@
+"""What stands between the law and the joints: lag, dead time, sampling, filters, elastic joints, torque limits. All off by default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths import checks
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hardware:
+    """Imperfections of a real arm's loop; None (or 0) means: not there.
+
+    Lags act behind the commanded torque (velocity), filters on the measured signals, both of first order:
+    T y' = u - y. ``delay`` is dead time of each commanded torque (velocity for 9.1-9.5), ``force_delay`` of the measured
+    wrench. With ``sample_time`` the law runs once a sample: torque held in between (zero-order hold), the law's own states
+    (integrals, filters, LTI outer loops) advanced exactly with their inputs held over the sample.
+
+    Elastic joints (Spong's model): K (theta - q) + D (theta' - q') drives the link, the motor obeys
+    B theta'' + K (theta - q) + D (theta' - q') = tau. ``feedback`` says where the encoder sits.
+
+    Raises:
+        BadArgument: a field is negative, not finite, or of another shape than a scalar or (n,).
+    """
+
+    torque_lag: float | Array | None = None  #: [s] time constant of the torque loop, scalar or (n,)
+    velocity_lag: float | Array | None = None  #: [s] time constant of the velocity loop of 9.1-9.5, scalar or (n,)
+    delay: float | None = None  #: [s]
+    force_delay: float | None = None  #: [s]
+    sample_time: float | None = None  #: [s]
+    force_filter: float | None = None  #: [s] time constant
+    velocity_filter: float | Array | None = None  #: [s] time constant, scalar or (n,)
+    joint_stiffness: float | Array | None = None  #: [Nm/rad], scalar or (n,)
+    joint_damping: float | Array | None = None  #: [Nm s/rad], scalar or (n,)
+    motor_inertia: float | Array | None = None  #: [kg m^2] on the link side of the gear, scalar or (n,)
+    torque_limit: float | Array | None = None  #: [Nm], scalar or (n,); acts in simulation
+    feedback: Literal["motor", "link"] = "motor"  #: where the encoder of an elastic joint sits
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            given = getattr(self, f.name)
+            if f.name == "feedback":
+                checks.choice("feedback", given, ("motor", "link"))
+            elif given is not None:
+                object.__setattr__(self, f.name, _positive_or_none(f.name, given))
+        if (self.joint_stiffness is None) != (self.motor_inertia is None):
+            raise BadArgument("joint_stiffness, motor_inertia", (self.joint_stiffness, self.motor_inertia), "both or neither: an elastic joint needs both")
+        if self.joint_damping is not None and self.joint_stiffness is None:
+            raise BadArgument("joint_damping", self.joint_damping, "joint_stiffness= and motor_inertia= beside it")
+
+    @property
+    def ideal(self) -> bool:
+        """True if nothing is switched on."""
+        return all(getattr(self, f.name) is None for f in fields(self) if f.name != "feedback")
+
+    @property
+    def elastic(self) -> bool:
+        """True if the joints are elastic."""
+        return self.joint_stiffness is not None
+
+    def per_joint(self, name: str, n: int) -> Array:
+        """A field as (n,). Raises BadArgument for another shape."""
+        return checks.per_joint(f"hardware.{name}", getattr(self, name), n)
+
+
+def _positive_or_none(name: str, given: ArrayLike) -> Any:
+    out = checks.array(f"hardware.{name}", given)
+    if out.ndim > 1 or np.any(out < 0) or (out.ndim == 1 and np.any(out == 0) and np.any(out > 0)):
+        raise BadArgument(f"hardware.{name}", given, "a positive scalar or (n,) array; None or 0 where it is not there")
+    if not out.any():
+        return None
+    if out.ndim == 1 and name in ("delay", "force_delay", "sample_time", "force_filter"):
+        raise BadArgument(f"hardware.{name}", given, "one number [s]")
+    return float(out) if out.ndim == 0 else out

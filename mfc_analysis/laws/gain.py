@@ -1,0 +1,55 @@
+"""A gain: a scalar, a vector (diagonal) or a matrix, acting by ``@`` on plain and dual arrays alike. None contributes nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import Dual, Vector, matvec
+
+Array = NDArray[np.float64]
+
+
+class Gain:
+    """A gain named for messages. ``Gain(None) @ x`` is 0, and ``bool(Gain(None))`` is False."""
+
+    __array_ufunc__ = None
+
+    def __init__(self, name: str, given: ArrayLike | Gain | None) -> None:
+        self.name = name
+        raw = given.array if isinstance(given, Gain) else given
+        self.array: Array | None = None if raw is None else checks.array(name, raw)
+        if self.array is not None and (self.array.ndim > 2 or (self.array.ndim == 2 and self.array.shape[0] != self.array.shape[1])):
+            raise BadArgument(name, f"shape {self.array.shape}", "a scalar, a vector or a square matrix")
+
+    def __bool__(self) -> bool:
+        return self.array is not None
+
+    def __matmul__(self, x: Vector | None) -> Array | Dual | float:
+        if self.array is None or x is None:
+            return 0.0
+        if self.array.ndim == 2:
+            return matvec(self.array, x)
+        return x * self.array
+
+    def check(self, size: int, what: str) -> None:
+        """Raise BadArgument unless this gain acts on vectors of ``size`` (``what``: 'joints', 'twist')."""
+        if self.array is not None and self.array.ndim and self.array.shape[0] != size:
+            raise BadArgument(self.name, f"shape {self.array.shape}", f"a scalar, shape ({size},) or ({size}, {size}): one entry for each of the {size} {what}")
+
+    def matrix(self, size: int) -> Array:
+        """As a (size, size) matrix; zeros for None."""
+        if self.array is None:
+            return np.zeros((size, size))
+        return self.array if self.array.ndim == 2 else np.diag(np.broadcast_to(self.array, (size,)))
+
+    def diagonal(self, size: int) -> Array:
+        """Its diagonal, (size,): the gains of independent joints."""
+        return np.diag(self.matrix(size)).copy()
+
+    def __repr__(self) -> str:
+        if self.array is None:
+            return "None"
+        return f"{float(self.array):g}" if self.array.ndim == 0 else np.array2string(self.array, separator=", ", precision=6).replace("\n", "")

@@ -1,0 +1,133 @@
+"""Hybrid motion/force control: equation 9.24."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.laws.force import FORCE_UNITS
+from mfc_analysis.laws.gain import Gain
+from mfc_analysis.laws.law import TWIST, WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
+from mfc_analysis.laws.task_torque import tool_acceleration
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import Dual, Vector, matvec, times, value
+from mfc_analysis.robots.primitives import Primitives
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class HybridMotionForce(Law):
+    r"""Hybrid motion/force control: equation 9.24.
+
+    .. math:: \tau = J_b^T\,(P\,\hat\Lambda(\tfrac{d}{dt}([Ad]V_d) + K_p X_e + K_i \int X_e + K_d V_e)
+        + (1 - P)(F_d + K_{fp} F_e + K_{fi} \int F_e - K_{damp} V) + \hat\eta)
+
+    The page has no damping in the force directions, so with kfi > 0 an undamped wall is unstable whatever its stiffness;
+    ``kdamp`` repairs it. X_e is not projected first: an error along a constrained axis leaks into motion.
+
+    Args:
+        F_d: (6,) [N, Nm] tool frame. kp [1/s^2], ki [1/s^3], kd [1/s], kfp [-], kfi [1/s], kdamp [Ns/m, Nms/rad]: scalar, (6,) or (6, 6).
+        constraints: (k, 6) rows A with A V_b = 0, constant in the tool frame, or a ``ConstraintSet``.
+        projection: "dynamic": P = 1 - A^T (A Lambda^-1 A^T)^-1 A Lambda^-1; "selection": 1 - A^T A, orthonormal rows only.
+        form: "standard"; "printed": eta inside (1 - P), V_d' and X_e' as on the page; "printed_eta": only eta misplaced.
+
+    On a redundant arm the whole of h^ is compensated (J^T eta = h - J^T Lambda J' v), so the null space is only as damped as the plant.
+    """
+
+    F_d: ArrayLike
+    kp: Gain | ArrayLike
+    ki: Gain | ArrayLike | None = None
+    kd: Gain | ArrayLike | None = None
+    kfp: Gain | ArrayLike = 0.0
+    kfi: Gain | ArrayLike | None = None
+    kdamp: Gain | ArrayLike = 0.0
+    constraints: Any = None
+    projection: Literal["dynamic", "selection"] = "dynamic"
+    form: Literal["standard", "printed", "printed_eta"] = "standard"
+    equation = "9.24"
+    space = "tool"
+    opens_at = ("torque", "command", "position", "force")
+    senses_force = True
+    forms = ("standard", "printed", "printed_eta")
+    typst = (
+        'tau = J_b^top (P hat(Lambda) (dif/(dif t)(["Ad"] "V"_d) + K_p X_e + K_i integral X_e dif t + K_d "V"_e) '
+        '+ (1 - P) ("F"_d + K_"fp" "F"_e + K_"fi" integral "F"_e dif t) + hat(eta))'
+    )
+    units = {"kp": "1/s^2", "ki": "1/s^3", "kd": "1/s", **FORCE_UNITS}
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "F_d", checks.array("F_d", self.F_d, (6,)))
+        self._coerce("kp", "ki", "kd", "kfp", "kfi", "kdamp")
+        checks.choice("form", self.form, self.forms)
+        checks.choice("projection", self.projection, ("dynamic", "selection"))
+        takes = "rows A of shape (k, 6), 1 <= k <= 6, of full rank, with A V_b = 0 in the tool frame, or a ConstraintSet"
+        if self.constraints is None:
+            raise BadArgument("constraints", None, takes)
+        A = checks.array("constraints", getattr(self.constraints, "rows", self.constraints))
+        if A.ndim != 2 or A.shape[1] != 6 or not 1 <= A.shape[0] <= 6 or np.linalg.matrix_rank(A) < A.shape[0]:
+            raise BadArgument("constraints", f"shape {A.shape}" if A.ndim != 2 or A.shape[1] != 6 else A, takes)
+        if self.projection == "selection" and np.abs(A @ A.T - np.eye(len(A))).max() > 1e-9:
+            raise BadArgument("constraints", A, 'orthonormal rows for projection="selection"')
+        set_(self, "rows", A)
+
+    def check(self, n: int) -> None:
+        """Raise BadArgument unless all gains have six components and the arm has six joints or more."""
+        super().check(n)
+        if n < 6:
+            raise BadArgument("law", f"HybridMotionForce on {n} joints", "an arm of six joints or more: Lambda needs a J of full rank")
+
+    def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
+        """z and z_f, as far as ki and kfi are given."""
+        motion = (Slot("z", TWIST),) if self.ki else ()
+        return (*motion, Slot("z_f", WRENCH)) if self.kfi else motion
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """tau = J^T (P Lambda^ c + (1 - P) f + eta^), with J^T eta = h - J^T Lambda J' v."""
+        assert isinstance(ref, ToolReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain) and isinstance(self.kd, Gain)
+        assert isinstance(self.kfp, Gain) and isinstance(self.kfi, Gain) and isinstance(self.kdamp, Gain)
+        q, v = now.q, now.v
+        E = model.pose(q).inverse() @ ref.X
+        X_e, V = E.log(), model.jacobian(q, v)
+        c = tap("command", tool_acceleration(E, X_e, V, ref, self.kp, self.ki, self.kd, now["z"], printed=self.form == "printed"))
+        F_d: Vector = self.F_d  # type: ignore[assignment]
+        rates: dict[str, Vector] = {"z": X_e} if self.ki else {}
+        f = F_d
+        if now.F is not None:
+            F_e = F_d - now.F
+            f = F_d + self.kfp @ F_e + self.kfi @ now["z_f"]
+            if self.kfi:
+                rates["z_f"] = F_e
+        f = f - self.kdamp @ V
+        h = model.bias(q, v)
+        if self.form == "standard":
+            wrench = self._split(model, q, c, f, minus=model.jacobian_dot(q, v))
+            return Action(model.jacobian_transpose(q, wrench) + h, rates, X_e)
+        eta = model.task_mass(q, model.jacobian(q, model.solve_mass(q, h)) - model.jacobian_dot(q, v))
+        return Action(model.jacobian_transpose(q, self._split(model, q, c, f + eta, minus=0.0)), rates, X_e)
+
+    def _split(self, model: Primitives, q: Vector, c: Vector, f: Vector, minus: Vector) -> Vector:
+        """P Lambda c + (1 - P) f - Lambda minus."""
+        A: Array = self.rows  # type: ignore[attr-defined]
+        if self.projection == "selection":
+            S = A.T @ A
+            if isinstance(minus, float):
+                return matvec(np.eye(6) - S, model.task_mass(q, c)) + matvec(S, f)
+            return matvec(np.eye(6) - S, model.task_mass(q, c - minus)) - matvec(S, model.task_mass(q, minus) - f)
+        # P Lambda c + (1 - P) f = Lambda c + A^T l with (A Lambda^-1 A^T) l = A (Lambda^-1 f - c)
+        inertia = np.linalg.inv(model.at(value(q)).Lambda)
+        S = np.linalg.inv(A @ inertia @ A.T)
+        held = times(S, matvec_plain(A, times(inertia, value(f)) - value(c)))
+        rest = matvec(A, model.mobility(q, f - held @ A) - c)  # its value is 0; its tangent is that of the implicit rule
+        multiplier = held + matvec(S, rest) if isinstance(rest, Dual) else held
+        return model.task_mass(q, c - minus) + matvec(A.T, multiplier)
+
+
+def matvec_plain(A: Array, x: Array) -> Array:
+    """A x for plain (..., 6)."""
+    return x @ A.T

@@ -1,0 +1,244 @@
+"""Motion control with torque inputs in joint space: equations 9.8 to 9.13."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.laws.gain import Gain
+from mfc_analysis.laws.law import Action, JointReference, Law, Measured, Slot, Tap, ToolReference
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import Vector, matvec
+from mfc_analysis.robots.primitives import Primitives
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class JointPID(Law):
+    r"""Independent joint PID: equation 9.8, :math:`\tau = K_p e + K_i \int e + K_d \dot e`.
+
+    Args:
+        kp: [Nm/rad], ki: [Nm/(rad s)], kd: [Nm s/rad]; scalar, (n,) or (n, n); None: no such term.
+
+    Closed form on one joint about th0: I s^3 + (b + kd) s^2 + (kp - m g r sin th0) s + ki; stable iff all coefficients are
+    positive and ki < (b + kd)(kp - m g r sin th0)/I.
+    """
+
+    kp: Gain | ArrayLike
+    ki: Gain | ArrayLike | None = None
+    kd: Gain | ArrayLike | None = None
+    equation = "9.8"
+    typst = "tau = K_p e + K_i integral e dif t + K_d dot(e)"
+    units = {"kp": "Nm/rad", "ki": "Nm/(rad s)", "kd": "Nm s/rad"}
+
+    def __post_init__(self) -> None:
+        self._coerce("kp", "ki", "kd")
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """tau = Kp e + Ki z + Kd e'."""
+        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain) and isinstance(self.kd, Gain)
+        e, e_dot = ref.q - now.q, ref.v - now.v
+        return Action(self.kp @ e + self.ki @ now["z"] + self.kd @ e_dot, {"z": e} if self.ki else {}, e)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueFeedforward(Law):
+    r"""Feedforward torque only: equation 9.9, :math:`\tau = \hat M(q_d) \ddot q_d + \hat h(q_d, \dot q_d)`.
+
+    ``form="printed"``: the page writes the acceleration of the *error*, tau = M^(q_d)(q_d'' - q'') + h^(q_d, v_d): an
+    algebraic loop, solved with q'' inside, that changes the inertia to M + M^.
+    """
+
+    form: Literal["standard", "printed"] = "standard"
+    equation = "9.9"
+    forms = ("standard", "printed")
+    typst = "tau = hat(M)(q_d) dot.double(q)_d + hat(h)(q_d, dot(q)_d)"
+    kp = ki = kd = None
+
+    def __post_init__(self) -> None:
+        checks.choice("form", self.form, self.forms)
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """tau = M^(q_d) a_d + h^(q_d, v_d); the printed form's - M^(q_d) q'' is ``error_inertia``."""
+        assert isinstance(ref, JointReference)
+        return Action(model.inverse_dynamics(ref.q, ref.v, ref.a), {}, ref.q - now.q)
+
+    def error_inertia(self, model: Primitives, ref: JointReference, a: Vector) -> Vector:
+        """M^(q_d) a: what the printed form subtracts for the measured acceleration a."""
+        return model.mass(ref.q, a)
+
+
+@dataclass(frozen=True, eq=False)
+class ComputedTorque(Law):
+    r"""Computed torque with PID error feedback: equations 9.10 and 9.12.
+
+    .. math:: \tau = \hat M(q)\,(a_d + K_p e + K_i z + K_d \dot e) + \hat h
+
+    ``form="standard"``: h^ at the measured (q, v); with an exact model the error obeys e''' + kd e'' + kp e' + ki e = 0.
+    ``form="printed"``: h^ at (q_d, v_d), as the page says; dh/dq and dh/dv stay in the loop.
+
+    Args:
+        kp: [1/s^2], ki: [1/s^3], kd: [1/s]; scalar, (n,) or (n, n).
+        mass: a constant (n, n) matrix [kg m^2] instead of M^(q): the decentralised case when it is diagonal.
+
+    Sources: chapter, eq. 9.10, 9.12; Lynch & Park, Modern Robotics, ch. 11.
+    """
+
+    kp: Gain | ArrayLike
+    ki: Gain | ArrayLike | None = None
+    kd: Gain | ArrayLike | None = None
+    form: Literal["standard", "printed"] = "standard"
+    mass: ArrayLike | None = None
+    equation = "9.10"
+    opens_at = ("torque", "command", "position")
+    forms = ("standard", "printed")
+    typst = "tau = hat(M)(q) (dot.double(q)_d + K_p e + K_i integral e dif t + K_d dot(e)) + hat(h)(q, dot(q))"
+    units = {"kp": "1/s^2", "ki": "1/s^3", "kd": "1/s"}
+
+    def __post_init__(self) -> None:
+        self._coerce("kp", "ki", "kd")
+        checks.choice("form", self.form, self.forms)
+        if self.mass is not None:
+            object.__setattr__(self, "mass", mass_matrix(self.mass))
+
+    def check(self, n: int) -> None:
+        """Raise BadArgument unless gains and mass fit n joints."""
+        super().check(n)
+        check_mass(self.mass, n)
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """tau = M^ (a_d + Kp e + Ki z + Kd e') + h^."""
+        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain) and isinstance(self.kd, Gain)
+        e, e_dot = ref.q - now.q, ref.v - now.v
+        a_q = tap("command", ref.a + self.kp @ e + self.ki @ now["z"] + self.kd @ e_dot)
+        rates: Mapping[str, Vector] = {"z": e} if self.ki else {}
+        if self.form == "standard" and self.mass is None:
+            return Action(model.inverse_dynamics(now.q, now.v, a_q), rates, e)
+        at = ref if self.form == "printed" else now
+        h = model.bias(at.q, at.v)
+        inertial = model.mass(now.q, a_q) if self.mass is None else matvec(np.asarray(self.mass), a_q)
+        return Action(inertial + h, rates, e)
+
+
+@dataclass(frozen=True, eq=False)
+class InverseDynamics(Law):
+    r"""Inverse dynamics with any outer loop: equations 9.11 and 9.13.
+
+    .. math:: u = \hat M(q)\,a_q + \hat C \dot q + \hat g,\quad a_q = a_d + \mathrm{outer}(e)
+
+    With an exact model nothing is left but q'' = a_q: n decoupled double integrators.
+
+    Args:
+        outer: e -> a_q [1/s^2]: a proper continuous python-control LTI system (SISO: one copy for each joint; or n x n), or
+            ``dict(kp=, ki=, kd=)`` for a PID.
+
+    Raises:
+        BadArgument: the system is improper, discrete, or neither 1 x 1 nor n x n; an unknown key.
+    """
+
+    outer: Any
+    equation = "9.11"
+    opens_at = ("torque", "command", "position")
+    typst = "u = hat(M)(q) a_q + hat(C)(q, dot(q)) dot(q) + hat(g)(q)"
+    units = {"kp": "1/s^2", "ki": "1/s^3", "kd": "1/s"}
+
+    def __post_init__(self) -> None:
+        given: Mapping[str, Any] = {}
+        system = None
+        if isinstance(self.outer, Mapping):
+            given = self.outer
+            unknown = set(given) - {"kp", "ki", "kd"}
+            if unknown or not given:
+                raise BadArgument("outer", dict(given), "dict(kp=, ki=, kd=) with at least one of them, or a python-control LTI system")
+        else:
+            system = state_space("outer", self.outer)
+        for name in ("kp", "ki", "kd"):
+            object.__setattr__(self, name, Gain(name, given.get(name)))
+        object.__setattr__(self, "system", system)
+
+    def gains(self) -> dict[str, Gain]:
+        """The PID's gains; empty for an LTI outer loop."""
+        return {name: gain for name in ("kp", "ki", "kd") if (gain := getattr(self, name))}
+
+    def check(self, n: int) -> None:
+        """Raise BadArgument unless the outer loop fits n joints."""
+        super().check(n)
+        system: tuple[Array, Array, Array, Array] | None = self.system  # type: ignore[attr-defined]
+        if system is not None and system[3].shape not in ((1, 1), (n, n)):
+            raise BadArgument("outer", f"{system[3].shape[1]} inputs and {system[3].shape[0]} outputs", f"a system with one input and output, or {n} of each")
+
+    def matrices(self, n: int) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D of the LTI outer loop for n joints."""
+        A, B, C, D = self.system  # type: ignore[attr-defined]
+        if D.shape == (n, n):
+            return A, B, C, D
+        one = np.eye(n)
+        return np.kron(one, A), np.kron(one, B), np.kron(one, C), np.kron(one, D)
+
+    def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
+        """z of the PID, or the states of the LTI outer loop."""
+        if self.system is None:  # type: ignore[attr-defined]
+            return super().slots(joints)
+        states = self.matrices(len(joints))[0].shape[0]
+        return (Slot("outer", tuple(str(i) for i in range(states)), integral=False),) if states else ()
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """tau = M^(q) (a_d + outer(e)) + h^(q, v)."""
+        assert isinstance(ref, JointReference)
+        e = ref.q - now.q
+        rates: dict[str, Vector] = {}
+        if self.system is None:  # type: ignore[attr-defined]
+            wanted = self.kp @ e + self.ki @ now["z"] + self.kd @ (ref.v - now.v)  # type: ignore[attr-defined]
+            if self.ki:  # type: ignore[attr-defined]
+                rates["z"] = e
+        else:
+            A, B, C, D = self.matrices(model.n)
+            wanted = matvec(D, e)
+            x = now["outer"]
+            if x is not None:
+                wanted = wanted + matvec(C, x)
+                rates["outer"] = matvec(A, x) + matvec(B, e)
+        a_q = tap("command", ref.a + wanted)
+        return Action(model.inverse_dynamics(now.q, now.v, a_q), rates, e)
+
+
+def state_space(argument: str, system: Any) -> tuple[Array, Array, Array, Array]:
+    """A, B, C, D of a proper continuous LTI system. Raises BadArgument."""
+    import control
+
+    takes = "a proper, continuous python-control LTI system (StateSpace or TransferFunction), or dict(kp=, ki=, kd=)"
+    if isinstance(system, (int, float)) and not isinstance(system, bool):
+        system = control.ss([], [], [], [[float(system)]])
+    if not isinstance(system, (control.StateSpace, control.TransferFunction)):
+        raise BadArgument(argument, system, takes)
+    if system.dt not in (None, 0):
+        raise BadArgument(argument, f"a discrete system with dt = {system.dt}", takes)
+    if isinstance(system, control.TransferFunction):
+        for row in range(system.noutputs):
+            for column in range(system.ninputs):
+                num, den = (np.trim_zeros(np.asarray(p[row][column], float), "f") for p in (system.num, system.den))
+                if num.size > den.size:
+                    raise BadArgument(argument, f"an improper transfer function (degree {num.size - 1} over {den.size - 1})", takes)
+        system = control.ss(system) if system.issiso() else control.tf2ss(system)
+    return tuple(checks.array(argument, M) for M in (system.A, system.B, system.C, system.D))  # type: ignore[return-value]
+
+
+def mass_matrix(given: ArrayLike) -> Array:
+    """A symmetric positive definite matrix [kg m^2]. Raises BadArgument."""
+    M = checks.array("mass", given)
+    takes = "a symmetric positive definite (n, n) matrix [kg m^2]"
+    if M.ndim != 2 or M.shape[0] != M.shape[1] or np.abs(M - M.T).max() > 1e-9 * np.abs(M).max() or np.linalg.eigvalsh(M)[0] <= 0:
+        raise BadArgument("mass", given, takes)
+    return M
+
+
+def check_mass(mass: ArrayLike | None, n: int) -> None:
+    """Raise BadArgument unless a constant mass matrix fits n joints."""
+    if mass is not None and np.shape(mass) != (n, n):
+        raise BadArgument("mass", f"shape {np.shape(mass)}", f"a matrix of shape ({n}, {n})")

@@ -1,0 +1,178 @@
+"""Motion control with velocity inputs, q' = u: equations 9.1 to 9.5."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mfc_analysis.laws.gain import Gain
+from mfc_analysis.laws.law import Action, JointReference, Law, Measured, Tap, ToolReference
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import Dual, Vector, concatenate
+from mfc_analysis.maths.se3 import Pose
+from mfc_analysis.robots.primitives import Primitives
+
+
+class _JointVelocity(Law):
+    plant = "velocity"
+    opens_at = ("velocity", "position")
+
+    def _pi(self, now: Measured, ref: JointReference, feedforward: Vector, kp: Gain, ki: Gain) -> Action:
+        e = ref.q - now.q
+        return Action(feedforward + kp @ e + ki @ now["z"], {"z": e} if ki else {}, e)
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityFeedforward(_JointVelocity):
+    r"""Open-loop velocity: equation 9.1, :math:`u = \dot q_d`.
+
+    The page prints q_d for its derivative. The error is a pure integrator: it stays what it was, a velocity disturbance integrates.
+    """
+
+    equation = "9.1"
+    typst = 'u = dot(q)_d'
+    kp = ki = None
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """u = v_d."""
+        assert isinstance(ref, JointReference)
+        return Action(ref.v + np.zeros(model.n), {}, ref.q - now.q)
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityP(_JointVelocity):
+    r"""Proportional velocity feedback: equation 9.2, :math:`u = K_p e`, e = q_d - q.
+
+    Args:
+        kp: [1/s] scalar, (n,) or (n, n).
+
+    Closed forms: pole -k, phase margin 90 deg, delay margin pi/(2k), error v/k on a ramp of slope v.
+    """
+
+    kp: Gain | ArrayLike
+    equation = "9.2"
+    typst = 'u = K_p e'
+    units = {"kp": "1/s"}
+
+    def __post_init__(self) -> None:
+        self._coerce("kp")
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """u = Kp e."""
+        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain)
+        return self._pi(now, ref, np.zeros(model.n), self.kp, Gain("ki", None))
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityPI(_JointVelocity):
+    r"""Proportional-integral velocity feedback: equation 9.3, :math:`u = K_p e + K_i \int e`.
+
+    The page prints the integral without Ki (as if it were the identity).
+
+    Args:
+        kp: [1/s], ki: [1/s^2]; scalar, (n,) or (n, n).
+
+    Closed forms: s^2 + kp s + ki; critical damping at ki = kp^2/4; error 0 on a ramp, a/ki on a parabola.
+    """
+
+    kp: Gain | ArrayLike
+    ki: Gain | ArrayLike
+    form: Literal["standard", "printed"] = "standard"
+    equation = "9.3"
+    forms = ("standard", "printed")
+    typst = 'u = K_p e + K_i integral e dif t'
+    units = {"kp": "1/s", "ki": "1/s^2"}
+
+    def __post_init__(self) -> None:
+        self._coerce("kp", "ki")
+        checks.choice("form", self.form, self.forms)
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """u = Kp e + Ki z (printed: u = Kp e + z)."""
+        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain)
+        ki = Gain("ki", 1.0) if self.form == "printed" else self.ki
+        return self._pi(now, ref, np.zeros(model.n), self.kp, ki)
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityFeedforwardPI(_JointVelocity):
+    r"""Feedforward with proportional-integral feedback: equation 9.4, :math:`u = \dot q_d + K_p e + K_i \int e`.
+
+    Args:
+        kp: [1/s], ki: [1/s^2]; scalar, (n,) or (n, n); ki None: no integral.
+
+    Closed form: e'' + kp e' + ki e = 0 whatever q_d.
+    """
+
+    kp: Gain | ArrayLike
+    ki: Gain | ArrayLike | None = None
+    equation = "9.4"
+    typst = 'u = dot(q)_d + K_p e + K_i integral e dif t'
+    units = {"kp": "1/s", "ki": "1/s^2"}
+
+    def __post_init__(self) -> None:
+        self._coerce("kp", "ki")
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """u = v_d + Kp e + Ki z."""
+        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain)
+        return self._pi(now, ref, ref.v, self.kp, self.ki)
+
+
+@dataclass(frozen=True, eq=False)
+class TaskVelocity(Law):
+    r"""Tool-space velocity control: equation 9.5, :math:`V_b = [Ad_{X^{-1}X_d}] V_d + K_p X_e + K_i \int X_e`.
+
+    Joint rates by the inverse (pseudo-inverse) of J_b. X_e = log6(X^-1 X_d).
+
+    Args:
+        kp: [1/s], ki: [1/s^2]; scalar, (6,) or (6, 6), on (linear, angular) in the tool frame.
+        form: "standard"; "printed": X_e = X_d - X as the page writes it, taken in the tool frame: the (linear, angular) part
+            of X^-1 (X_d - X), whose angular part is sin(angle) times the axis; "no_adjoint": V_d without [Ad] (a common slip),
+            which couples the error by -ad(V_d) X_e at first order.
+        damping: [-] of the inverse of J; 0 refuses near a singularity.
+
+    Closed form: for Kp = k I and no Ki, X_e' = -k X_e exactly, however large below pi.
+    """
+
+    kp: Gain | ArrayLike
+    ki: Gain | ArrayLike | None = None
+    form: Literal["standard", "printed", "no_adjoint"] = "standard"
+    damping: float = 0.0
+    equation = "9.5"
+    plant = "velocity"
+    space = "tool"
+    opens_at = ("velocity", "command", "position")
+    forms = ("standard", "printed", "no_adjoint")
+    typst = '"V"_b = ["Ad"_(X^(-1) X_d)] "V"_d + K_p X_e + K_i integral X_e dif t'
+    units = {"kp": "1/s", "ki": "1/s^2"}
+
+    def __post_init__(self) -> None:
+        self._coerce("kp", "ki")
+        checks.choice("form", self.form, self.forms)
+        checks.number("damping", self.damping, low=0.0)
+
+    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+        """q' = J^# (Ad V_d + Kp X_e + Ki z)."""
+        assert isinstance(ref, ToolReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain)
+        E = model.pose(now.q).inverse() @ ref.X
+        X_e = difference(E) if self.form == "printed" else E.log()
+        V_d = ref.V if self.form == "no_adjoint" else E.adjoint(ref.V)
+        V = tap("command", V_d + self.kp @ X_e + self.ki @ now["z"])
+        return Action(model.solve_jacobian(now.q, V, self.damping), {"z": X_e} if self.ki else {}, X_e)
+
+
+def difference(E: Pose) -> Vector:
+    """The page's X_d - X seen from the tool: the se(3) part of E - 1 with E = X^-1 X_d, (position, sin(angle) axis)."""
+    R = E.R
+    axis = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    if E.twist is None:
+        return concatenate([E.p, axis])
+    trace = np.trace(R, axis1=-2, axis2=-1)[..., None, None]
+    return Dual(
+        np.concatenate([E.p, axis], axis=-1),
+        np.concatenate([R @ E.twist[..., :3, :], 0.5 * (trace * np.eye(3) - np.swapaxes(R, -1, -2)) @ E.twist[..., 3:, :]], axis=-2),
+    )

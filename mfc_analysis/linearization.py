@@ -1,0 +1,282 @@
+"""The loop linearised at all times at once: what a user asks of it, each a line or two that call down into ``analysis``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.analysis import poles as pole_analysis
+from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.decentralised import Decentralised, decentralised
+from mfc_analysis.equations import Equations
+from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.jacobians import Coordinates, closed_matrix, open_system
+from mfc_analysis.maths import checks
+from mfc_analysis.operating_point import OperatingPoint
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.disk import DiskMargin
+    from mfc_analysis.analysis.floquet import TransientGrowth
+    from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.analysis.steps import Step
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """A closed loop linearised exactly at m operating points; nx states, in deviations from them.
+
+    A, B, C, D, ``poles``, ``system`` and ``loop`` leave dead time out (``delay``, ``force_delay`` [s] say how much);
+    ``stable``, margins, frequency responses and ``delay_roots`` are exact. With a sample time everything is discrete
+    (``dt`` > 0, poles in z) and dead time is inside.
+    """
+
+    equations: Equations
+    point: OperatingPoint
+    coordinates: Coordinates
+    default_at: str
+
+    # --- matrices ------------------------------------------------------------------------------------------------
+
+    @property
+    def times(self) -> Array:
+        """(m,) [s]."""
+        return self.point.times
+
+    @property
+    def residual(self) -> Array:
+        """(m, n) acceleration [rad/s^2] (velocity plants: velocity [rad/s]) left over at the operating points; 0 at an equilibrium."""
+        return self.point.residual
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]; 0 for a continuous loop."""
+        return float(self.equations.hardware.sample_time or 0.0)  # type: ignore[arg-type]
+
+    @property
+    def delay(self) -> float:
+        """Dead time [s] of the actuators that A, poles, system and loop leave out (0 in a sampled loop: it is inside)."""
+        return 0.0 if self.dt else float(self.equations.hardware.delay or 0.0)
+
+    @property
+    def force_delay(self) -> float:
+        """Dead time [s] of the force sensor that A, poles, system and loop leave out."""
+        return 0.0 if self.dt else float(self.equations.hardware.force_delay or 0.0)
+
+    @cached_property
+    def A(self) -> Array:
+        """(m, nx, nx) of the closed loop."""
+        if self.dt or "opened" in self.__dict__:
+            return self._closed[0]
+        return closed_matrix(self.equations, self.times, self.point.x, self.coordinates)
+
+    @property
+    def B(self) -> Array:
+        """(m, nx, nu): from reference, disturbance at the joints, F_d."""
+        return self._closed[1]
+
+    @property
+    def C(self) -> Array:
+        """(m, ny, nx): to q, error, commanded torque, F_tip."""
+        return self._closed[2]
+
+    @property
+    def D(self) -> Array:
+        """(m, ny, nu)."""
+        return self._closed[3]
+
+    @cached_property
+    def _closed(self) -> tuple[Array, Array, Array, Array]:
+        return close_wires(self.opened)
+
+    @cached_property
+    def opened(self) -> OpenSystem:
+        """The loop with every wire cut: what ``analysis`` works on."""
+        out = open_system(self.equations, self.times, self.point.x, self.coordinates)
+        if self.dt:
+            from mfc_analysis.analysis.sampled import sampled
+
+            out = sampled(out, self.dt)
+        return out
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """nx names; with a sample time they include the samples under way."""
+        return self.opened.state_names
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """nu names of the external inputs."""
+        return self.opened.input_names
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """ny names of the external outputs."""
+        return self.opened.output_names
+
+    # --- poles ---------------------------------------------------------------------------------------------------
+
+    def poles(self) -> NDArray[np.complex128]:
+        """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; dead time left out."""
+        return cast("NDArray[np.complex128]", pole_analysis.poles(self._reduced))
+
+    @cached_property
+    def _reduced(self) -> OpenSystem:
+        return self.opened if self.dt else _only_a(self)
+
+    @cached_property
+    def stability(self) -> pole_analysis.Stability:
+        """Stable, neutral, drifting at each time, dead time included."""
+        dead = self.delay or self.force_delay
+        return pole_analysis.stability(self.opened if dead or self.dt else _only_a(self))
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """(m,) every root that is not neutral decays; exact with dead time."""
+        return self.stability.stable
+
+    @property
+    def neutral(self) -> NDArray[np.int64]:
+        """(m,) semisimple roots at zero (z = 1): free positions."""
+        return self.stability.neutral
+
+    @property
+    def drifts(self) -> NDArray[np.bool_]:
+        """(m,) a zero root in a Jordan chain: a position that slides, a speed that ramps."""
+        return self.stability.drifts
+
+    def pole_table(self, index: int = 0) -> tuple[pole_analysis.Pole, ...]:
+        """Poles at one time with natural frequency, damping ratio and time constant, slowest first."""
+        return pole_analysis.pole_table(self._reduced, self._index(index))
+
+    def delay_roots(self, count: int = 6) -> NDArray[np.complex128]:
+        """(m, count) rightmost characteristic roots [1/s] with dead time, exact, rightmost first."""
+        from mfc_analysis.analysis.delay import delay_roots
+
+        return delay_roots(self.opened, count)
+
+    # --- python-control ------------------------------------------------------------------------------------------
+
+    def system(self, index: int = 0) -> Any:
+        """The closed loop at one time as a ``control.StateSpace`` with named signals; dead time left out."""
+        import control
+
+        i = self._index(index)
+        A, B, C, D = (M[i] for M in self._closed)
+        return control.ss(A, B, C, D, self.dt, states=list(self.state_names), inputs=list(self.input_names), outputs=list(self.output_names))
+
+    def loop(self, index: int = 0, at: str | None = None, channel: int | str | None = None) -> Any:
+        """L(s) at one time, broken at ``at`` in one channel (default: the first), the others closed; negative feedback; dead time left out.
+
+        Returns a ``control.StateSpace`` with one input and output.
+        Raises UnknownPoint, and UnknownName for a channel that isn't there.
+        """
+        import control
+
+        from mfc_analysis.analysis.channels import channels
+
+        at = self._at(at)
+        found = channels(self.opened.at(slice(self._index(index), self._index(index) + 1)), at)
+        names = tuple(found.names)
+        j = self._channel(channel, names)
+        A, b, c = found.A[0], found.B[0][:, j], found.C[0][j]
+        through = 1.0 + float(found.H0[0, j])  # S = through + c (sI - A)^-1 b, and L = 1/S - 1
+        return control.ss(
+            A - np.outer(b, c) / through, b[:, None] / through, -c[None, :] / through, [[1 / through - 1]], self.dt,
+            inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"],
+        )  # fmt: skip
+
+    # --- margins and responses -----------------------------------------------------------------------------------
+
+    def margins(self, at: str | None = None) -> Margins:
+        """One-loop-at-a-time margins at ``at``, the others closed: (m, n) figures. Raises UnknownPoint."""
+        from mfc_analysis.analysis.margins import margins
+
+        return margins(self.opened, self._at(at))
+
+    def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None) -> DiskMargin:
+        """Disk margin of all loops at once (m,), at one point or several together. Raises UnknownPoint."""
+        from mfc_analysis.analysis.disk import disk_margin
+
+        points = self._at(at) if at is None or isinstance(at, str) else tuple(at)
+        return disk_margin(self.opened, points, None if frequencies is None else checks.array("frequencies", frequencies, (None,)))
+
+    def frequency_response(self, frequencies: ArrayLike, at: str | None = None) -> NDArray[np.complex128]:
+        """(m, n, nf) loop transfers L_i(j w) at w [rad/s], each broken alone; dead time included. Raises UnknownPoint."""
+        from mfc_analysis.analysis.frequency import frequency_response
+
+        w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies >= 0 [rad/s]")
+        if np.any(w < 0):
+            raise BadArgument("frequencies", frequencies, "finite frequencies >= 0 [rad/s]")
+        return frequency_response(self.opened, w, self._at(at))
+
+    def step(self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None) -> Step:
+        """Unit step response of the closed loop at one time, with its figures. Raises UnknownName."""
+        from mfc_analysis.analysis.steps import step
+
+        return step(self.opened, self._index(index), input, output, duration)
+
+    def decentralised(self) -> Decentralised:
+        """The same gains on diag(M) and diag(dg/dq): n separate loops. Raises Unsupported for laws that are not joint by joint."""
+        return decentralised(self.equations, self.point)
+
+    def transient_growth(self) -> TransientGrowth:
+        """Largest singular value of the transition matrix Phi(t, 0) along the path (linear time-varying)."""
+        from mfc_analysis.time_varying import transient_growth
+
+        return transient_growth(self)
+
+    # --- small things --------------------------------------------------------------------------------------------
+
+    def _at(self, at: str | None) -> str:
+        return self.default_at if at is None else at
+
+    def _index(self, index: int) -> int:
+        m = len(self.times)
+        if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not -m <= index < m:
+            raise BadArgument("index", index, f"an integer from 0 to {m - 1}: which of the {m} times")
+        return int(index) % m
+
+    @staticmethod
+    def _channel(channel: int | str | None, names: tuple[str, ...]) -> int:
+        if channel is None:
+            return 0
+        if isinstance(channel, str):
+            if channel not in names:
+                raise UnknownName("channel", channel, names)
+            return names.index(channel)
+        if isinstance(channel, bool) or not isinstance(channel, (int, np.integer)) or not 0 <= channel < len(names):
+            raise BadArgument("channel", channel, f"an integer from 0 to {len(names) - 1} or one of {', '.join(names)}")
+        return int(channel)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __str__(self) -> str:
+        stable = self.stable
+        kind = f"discrete, dt = {self.dt:g} s" if self.dt else "continuous"
+        return (
+            f"{self.equations.law} on {self.equations.robot.name}, linearised at {len(self.times)} times "
+            f"from {self.times[0]:g} to {self.times[-1]:g} s ({kind}; coordinates {self.coordinates!r})\n"
+            f"stable at {int(stable.sum())} of {len(stable)} times; neutral roots {int(self.neutral.max(initial=0))}; "
+            f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {np.abs(self.residual).max(initial=0.0):.3g}"
+        )
+
+
+def _only_a(lin: Linearization) -> OpenSystem:
+    """The closed A alone, as a system without wires: enough for poles and stability without dead time."""
+    A = lin.A
+    m, nx = A.shape[0], A.shape[1]
+    names = lin.equations.state_names
+    empty = np.zeros
+    return OpenSystem(
+        times=lin.times, A=A, B=empty((m, nx, 0)), C=empty((m, 0, nx)), D=empty((m, 0, 0)), state_names=names, input_names=(), output_names=(),
+        wires={}, wire_names=(), wire_delay=np.zeros(0), points=(), integrals=lin.equations.integrals, plant_states=lin.equations.plant_states,
+        law=type(lin.equations.law).__name__, dt=0.0,
+    )  # fmt: skip

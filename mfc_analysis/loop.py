@@ -1,0 +1,267 @@
+"""``ClosedLoop``: the user's door. A robot, a law, a reference, and what stands between them; its methods call down."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.environment import Environment
+from mfc_analysis.equations import Equations, refuse_what_does_not_apply
+from mfc_analysis.errors import BadArgument, MfcWarning, NearSingular, Unsupported
+from mfc_analysis.hardware import Hardware
+from mfc_analysis.jacobians import Coordinates, closed_matrix
+from mfc_analysis.laws.law import Law
+from mfc_analysis.linearization import Linearization
+from mfc_analysis.maths import checks
+from mfc_analysis.operating_point import Nominal, OperatingPoint, rest_point, trimmed
+from mfc_analysis.robots.primitives import WARN_CONDITION
+from mfc_analysis.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from mfc_analysis.quasi_static import QuasiStatic
+    from mfc_analysis.simulation import Simulation
+    from mfc_analysis.time_varying import Floquet
+    from mfc_analysis.validation import Validation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A rest point of the closed loop."""
+
+    q: Array  #: (n,)
+    error: Array  #: e (n,) [rad, m] for joint laws, X_e (6,) [m, rad] for tool laws
+    force: Array  #: (6,) F_tip, tool frame [N, Nm]
+    torque: Array  #: (n,) commanded torque [Nm] (velocity [rad/s] for 9.1-9.5)
+    x: Array  #: (nx,) the whole state
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A robot under one law of the chapter.
+
+    Args:
+        robot: the plant.
+        law: one of ``mfc.laws``.
+        ref: a reference of ``mfc.trajectories``: joint space for joint laws, a ``Hold`` for force laws; tool laws take tool
+            references, or a joint reference (then its tool motion is the reference).
+        controller_model: what the controller believes; omitted: the plant itself.
+        environment: an ``Environment`` or a list of them, added up; surfaces without a pose lie at the tool's start pose.
+        q_start: (n,) [rad, m] for tool references: the joint solution is followed from here.
+        hardware: ``Hardware``; omitted: ideal.
+
+    Raises:
+        BadArgument and its kin: shapes, kinds and values that do not go together; see each argument's class.
+        A warning says where the reference leaves the joint limits.
+    """
+
+    robot: Robot
+    law: Law
+    ref: Any
+    controller_model: Robot | None = None
+    environment: Environment | Sequence[Environment] | None = None
+    q_start: ArrayLike | None = None
+    hardware: Hardware | None = None
+    equations: Equations = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        if not isinstance(self.robot, Robot):
+            raise BadArgument("robot", self.robot, "a Robot, such as mfc.robots.ur5()")
+        if not isinstance(self.law, Law):
+            raise BadArgument("law", self.law, "one of mfc.laws, such as mfc.laws.ComputedTorque(kp=100, kd=20)")
+        self.law.check(self.robot.n)
+        space = getattr(self.ref, "space", None)
+        if space not in ("joint", "tool"):
+            raise BadArgument("ref", self.ref, "a reference of mfc.trajectories")
+        model = self.robot if self.controller_model is None else self.controller_model
+        if not isinstance(model, Robot) or model.joint_names != self.robot.joint_names:
+            raise BadArgument("controller_model", model, f"a Robot with the plant's joints {', '.join(self.robot.joint_names)}")
+        if self.hardware is not None and not isinstance(self.hardware, Hardware):
+            raise BadArgument("hardware", self.hardware, "a Hardware, such as mfc.Hardware(torque_lag=2e-3)")
+        self._check_reference(space)
+        if self.q_start is not None:
+            set_(self, "q_start", checks.array("q_start", self.q_start, (self.robot.n,)))
+        surfaces = self._surfaces()
+        set_(self, "equations", Equations(self.robot, model, self.law, self.ref, surfaces, self.hardware or Hardware()))
+        refuse_what_does_not_apply(self.equations)
+        set_(self, "_path", None)
+
+    def _check_reference(self, space: str) -> None:
+        law, name = self.law, type(self.law).__name__
+        if space == "joint" and self.ref.n != self.robot.n:
+            raise BadArgument("ref", f"a reference of {self.ref.n} joints", f"one of {self.robot.n} joints, as {self.robot.name} has")
+        if law.space == "joint" and space == "tool":
+            raise BadArgument("ref", type(self.ref).__name__, f"a joint-space reference for {name}; mfc.trajectories.from_tool_path turns a tool path into one (eq 9.14)")
+        if law.equation in ("9.21", "9.22", "9.23") and not self.ref.is_hold:
+            raise BadArgument("ref", type(self.ref).__name__, f"a Hold: {name} has no motion reference")
+        if space == "tool" and self.q_start is None:
+            raise BadArgument("q_start", None, f"a joint position of shape ({self.robot.n},): a tool-space reference is followed from there")
+        if space == "joint":
+            from mfc_analysis.trajectories.joint import warn_outside_limits
+
+            span = self.ref.duration or self.ref.period or 1.0
+            warn_outside_limits(self.robot, self.ref, np.linspace(0.0, span, 101))
+
+    def _surfaces(self) -> tuple[Environment, ...]:
+        from dataclasses import replace
+
+        given = self.environment
+        if given is None:
+            return ()
+        surfaces = (given,) if isinstance(given, Environment) else tuple(given)
+        for surface in surfaces:
+            if not isinstance(surface, Environment):
+                raise BadArgument("environment", surface, "an Environment or a list of them")
+        point = self.ref(0.0)
+        start = np.asarray(point.X) if self.ref.space == "tool" else self.robot.pose(point.q)
+        return tuple(s if s.pose is not None else replace(s, pose=start) for s in surfaces)
+
+    # --- the operating points ------------------------------------------------------------------------------------
+
+    def nominal(self, times: ArrayLike) -> Nominal:
+        """Joint motion (q, v, a), (m, n) each, that the reference asks for; tool references are followed from ``q_start`` (eq 9.14)."""
+        t = checks.times(times)
+        if self.ref.space == "joint":
+            point = self.ref(t)
+            return Nominal(*(np.ascontiguousarray(x) for x in point))
+        from mfc_analysis.trajectories.inverse_kinematics import follow
+
+        return Nominal(*follow(self.robot, self.ref, self.q_start, t, damping=float(getattr(self.law, "damping", 0.0))))
+
+    def _point(self, t: Array, about: str, simulation: Simulation | None) -> OperatingPoint:
+        if about == "reference":
+            return trimmed(self.equations, t, self.nominal(t))
+        if about == "equilibrium":
+            rest = self._rest()
+            m = len(t)
+            return OperatingPoint(t, np.repeat(rest.x, m, axis=0), np.zeros((m, self.robot.n)))
+        if simulation is None:
+            raise BadArgument("simulation", None, 'the Simulation to linearise along, with about="simulation"')
+        return simulation.operating_point(t)
+
+    def _rest(self) -> OperatingPoint:
+        if not self.ref.is_hold:
+            raise Unsupported("about", "equilibrium", "a reference at rest (Hold, ToolHold): a moving one has no rest point")
+        start = trimmed(self.equations, np.zeros(1), self.nominal([0.0]))
+        return rest_point(self.equations, start, lambda x: closed_matrix(self.equations, np.zeros(1), x))
+
+    def equilibrium(self) -> Equilibrium:
+        """The rest point near the reference (a Hold): gravity sag and steady force error included.
+
+        Raises NotConverged where there is none, Unsupported on a moving reference.
+        """
+        rest = self._rest()
+        flow = self.equations.flow(0.0, rest.x[0])
+        return Equilibrium(rest.x[0][: self.robot.n], *(np.array(x) for x in (flow.error, flow.F_tip, flow.command)), rest.x[0])  # type: ignore[arg-type]
+
+    def quasi_static(self) -> QuasiStatic:
+        """Equation 9.20's model of the same loop: g + J^T F_tip = tau. ``.force`` (6,), ``.error`` = F_d - F_tip (6,)."""
+        from mfc_analysis.quasi_static import quasi_static
+
+        return quasi_static(self)
+
+    # --- linear --------------------------------------------------------------------------------------------------
+
+    def linearize(
+        self,
+        times: ArrayLike = (0.0,),
+        about: Literal["reference", "equilibrium", "simulation"] = "reference",
+        coordinates: Coordinates | None = None,
+        simulation: Simulation | None = None,
+    ) -> Linearization:
+        """The loop linearised exactly at m times [s] at once.
+
+        Args:
+            times: (m,) strictly increasing.
+            about: "reference" (integral trimmed), "equilibrium" (a Hold's rest point) or "simulation" (along ``simulation``).
+            coordinates: "state" (q, v, z, ...) or "error" (X_e, V_e, z, ...); None: "error" for tool laws where J is square and
+                well conditioned, else "state".
+
+        Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
+        """
+        t = checks.times(times)
+        checks.choice("about", about, ("reference", "equilibrium", "simulation"))
+        point = self._point(t, about, simulation)
+        return Linearization(self.equations, point, self._coordinates(coordinates, point), self.default_at)
+
+    def _coordinates(self, asked: Coordinates | None, point: OperatingPoint) -> Coordinates:
+        if asked is not None:
+            checks.choice("coordinates", asked, ("state", "error"))
+            if asked == "error" and self.law.space == "tool" and self.robot.n != 6:
+                raise Unsupported("coordinates", "error", f"a square Jacobian: {self.robot.name} has {self.robot.n} joints, so the error does not determine the state")
+            return asked
+        if self.law.space == "tool" and self.robot.n == 6:
+            q = np.ascontiguousarray(point.x[:, :6])
+            sigma = np.linalg.svd(self.equations.plant.at(q).J, compute_uv=False)
+            if np.all(sigma[:, 0] < WARN_CONDITION * sigma[:, -1]):
+                return "error"
+        return "state"
+
+    @property
+    def default_at(self) -> str:
+        """The analysis point taken when none is named: the plant input."""
+        return self.law.plant
+
+    def floquet(self, period: float | None = None) -> Floquet:
+        """Floquet multipliers on the true periodic orbit of the closed loop. Raises BadArgument without a period, NotConverged."""
+        from mfc_analysis.time_varying import floquet
+
+        return floquet(self, period)
+
+    # --- nonlinear -----------------------------------------------------------------------------------------------
+
+    def simulate(
+        self,
+        times: float | ArrayLike,
+        initial_error: ArrayLike = 0.0,
+        disturbance: ArrayLike | Callable[[float], ArrayLike] | None = None,
+        *,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        integral: Literal["trimmed"] | ArrayLike = 0.0,
+        force_integral: ArrayLike = 0.0,
+        actuator: ArrayLike | None = None,
+        rtol: float = 1e-6,
+        atol: float = 1e-9,
+        method: str = "LSODA",
+        x: ArrayLike | None = None,
+    ) -> Simulation:
+        """The nonlinear loop by ``scipy.integrate.solve_ivp`` on Pinocchio's dynamics.
+
+        Args:
+            times: a duration [s] or an array of times, whose first is the start.
+            initial_error: e at the start, scalar or (n,) (tool laws: X_e (6,) or (n,) of the joints' own error): where ``q`` is not given.
+            disturbance: torque at the joints [Nm] (velocity laws: velocity [rad/s]), constant or a function of time.
+            q, v: (n,) the start itself. integral: 0, "trimmed" or the integral state. force_integral: likewise, scalar or (6,).
+            actuator: (n,) state of the actuators' lag; None: the torque commanded at the start.
+            x: (nx,) the whole start state instead of all these.
+
+        A run that diverges stops, keeps what it has and says when (``diverged``, ``outcome``).
+        """
+        from mfc_analysis.simulation import simulate, start_state
+
+        if x is None:
+            first = float(np.ravel(np.asarray(times, float))[0]) if np.ndim(times) else 0.0
+            x0 = start_state(self, first, initial_error, q, v, integral, force_integral, actuator)
+        else:
+            x0 = checks.array("x", x, (self.equations.nx,))
+        return simulate(self, times, x0, disturbance, rtol=rtol, atol=atol, method=method)
+
+    def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
+        """Linear prediction against nonlinear simulation over ``time`` [s] from the operating point disturbed by ``size`` [rad, m]."""
+        from mfc_analysis.validation import validate
+
+        return validate(self, time, size, seed)
+
+    def __str__(self) -> str:
+        extra = "" if not self.equations.surfaces else f", {len(self.equations.surfaces)} surface(s)"
+        return f"{self.law} on {self.robot.name}{extra}"
+
+

@@ -1,0 +1,409 @@
+"""What a law is written with: rnea, aba, M x, g, J x, J^T f, J^-1 x, Lambda x, for plain and dual arrays, many points at once.
+
+Each primitive acts on vectors and carries its own exact derivative: Pinocchio's analytic ones for the dynamics, brackets of
+the body Jacobian's columns for the kinematics (column j of d J_i / d q_j is [J_i, J_j] for j after i on the chain), and the
+implicit rule for inverses (y = S^-1 b has tangent S^-1 (db - dS y)). Values are ``(..., n)`` in the user's joint order.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from mfc_analysis.errors import MfcWarning, NearSingular
+from mfc_analysis.maths.dual import Dual, Vector, chain, elementwise, times, value
+from mfc_analysis.maths.se3 import Pose
+
+if TYPE_CHECKING:
+    from mfc_analysis.robots.robot import Robot
+
+Array = NDArray[np.float64]
+
+WARN_CONDITION, REFUSE_CONDITION = 1e4, 1e6
+
+
+class Primitives:
+    """One robot's dynamics and kinematics. Not thread-safe: it owns a Pinocchio Data that every call overwrites."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.n = robot.n
+        self.times: Array | None = None  #: times of the points being evaluated, for messages only
+        self._model = robot.model
+        self._data = robot.model.createData()
+        self._still = robot.model.copy()  # the same arm without gravity: M x = rnea(q, 0, x)
+        self._still.gravity = pin.Motion.Zero()
+        self._still_data = self._still.createData()
+        back = np.asarray(robot.order)  # x_user = x_pinocchio[back]
+        self._order = None if np.array_equal(back, np.arange(self.n)) else np.argsort(back)
+        self._back = back
+        self._plain = self._order is None and robot.model.nq == robot.model.nv
+        self._seen: list[Configuration] = []
+
+    def at(self, q: Array) -> Configuration:
+        """M, J, X at the configurations q (..., n), kept while the same array is asked for again."""
+        for known in self._seen:
+            if known.q is q:
+                return known
+        new = Configuration(self, q)
+        self._seen = [new, *self._seen[:2]]
+        return new
+
+    # --- dynamics ------------------------------------------------------------------------------------------------
+
+    def rnea(self, q: Vector, v: Vector, a: Vector) -> Array | Dual:
+        """M(q) a + C(q, v) v + g(q) [Nm or N], without friction: equation 9.7."""
+        qs, vs, accelerations = value(q), value(v), value(a)
+        if not any(isinstance(x, Dual) for x in (q, v, a)):
+            return self._each(lambda *x: pin.rnea(self._model, self._data, *x), self.n, qs, vs, accelerations)
+        data = self._data
+
+        def derivatives(*x: Array) -> None:
+            pin.computeRNEADerivatives(self._model, data, *x)
+
+        tau, dq, dv, da = self._collect(derivatives, (data.tau, data.dtau_dq, data.dtau_dv, data.M), qs, vs, accelerations)
+        return chain(tau, (lambda: dq, q), (lambda: dv, v), (lambda: symmetric(da), a))
+
+    def inverse_dynamics(self, q: Vector, v: Vector, a: Vector) -> Array | Dual:
+        """M(q) a + h(q, v) with the model's own viscous friction in h, as a controller computes it."""
+        return self._with_viscous(self.rnea(q, v, a), v)
+
+    def bias(self, q: Vector, v: Vector) -> Array | Dual:
+        """h(q, v) = C(q, v) v + g(q) + viscous friction of this model, as a controller computes it."""
+        return self.inverse_dynamics(q, v, np.zeros(self.n))
+
+    def aba(self, q: Vector, v: Vector, tau: Vector) -> Array | Dual:
+        """q'' = M(q)^-1 (tau - C v - g), without friction: equation 9.7 solved."""
+        qs, vs, taus = value(q), value(v), value(tau)
+        if not any(isinstance(x, Dual) for x in (q, v, tau)):
+            return self._each(lambda *x: pin.aba(self._model, self._data, *x), self.n, qs, vs, taus)
+        data = self._data
+
+        def derivatives(*x: Array) -> None:
+            pin.computeABADerivatives(self._model, data, *x)
+
+        a, dq, dv, inverse = self._collect(derivatives, (data.ddq, data.ddq_dq, data.ddq_dv, data.Minv), qs, vs, taus)
+        return chain(a, (lambda: dq, q), (lambda: dv, v), (lambda: symmetric(inverse), tau))
+
+    def mass(self, q: Vector, x: Vector) -> Array | Dual:
+        """M(q) x."""
+        if isinstance(q, Dual):
+            data = self._still_data
+            zero = np.zeros(self.n)
+
+            def derivatives(*at: Array) -> None:
+                pin.computeRNEADerivatives(self._still, data, at[0], zero, at[1])
+
+            tau, dq, M = self._collect(derivatives, (data.tau, data.dtau_dq, data.M), q.value, value(x))
+            return chain(tau, (lambda: dq, q), (lambda: symmetric(M), x))
+        M = self.at(value(q)).M
+        return chain(times(M, value(x)), (lambda: M, x))
+
+    def solve_mass(self, q: Vector, f: Vector) -> Array | Dual:
+        """M(q)^-1 f."""
+        if isinstance(q, Dual):
+            data = self._still_data
+            zero = np.zeros(self.n)
+
+            def derivatives(*at: Array) -> None:
+                pin.computeABADerivatives(self._still, data, at[0], zero, at[1])
+
+            a, dq, inverse = self._collect(derivatives, (data.ddq, data.ddq_dq, data.Minv), q.value, value(f))
+            return chain(a, (lambda: dq, q), (lambda: symmetric(inverse), f))
+        inverse = self.at(value(q)).M_inverse
+        return chain(times(inverse, value(f)), (lambda: inverse, f))
+
+    def gravity(self, q: Vector) -> Array | Dual:
+        """g(q)."""
+        if isinstance(q, Dual):
+            data = self._data
+            zero = np.zeros(self.n)
+
+            def derivatives(at: Array) -> None:
+                pin.computeRNEADerivatives(self._model, data, at, zero, zero)
+
+            g, dq = self._collect(derivatives, (data.tau, data.dtau_dq), q.value)
+            return Dual(g, dq @ q.tangent)
+        return self._each(lambda at: pin.computeGeneralizedGravity(self._model, self._data, at), self.n, value(q))
+
+    def friction(self, v: Vector) -> Array | Dual:
+        """The plant's joint friction: viscous v + coulomb tanh(v / coulomb_speed)."""
+        robot = self.robot
+        out = v * robot.viscous
+        if not np.any(robot.coulomb):
+            return out
+        slope = 1 / robot.coulomb_speed
+        return out + robot.coulomb * elementwise(v, lambda x: np.tanh(slope * x), lambda x: slope / np.cosh(np.clip(slope * x, -300, 300)) ** 2)
+
+    # --- kinematics ----------------------------------------------------------------------------------------------
+
+    def pose(self, q: Vector) -> Pose:
+        """The tool's pose X; its tangent is the body twist J dq."""
+        at = self.at(value(q))
+        return Pose(at.R, at.p, at.J @ q.tangent if isinstance(q, Dual) else None)
+
+    def jacobian(self, q: Vector, x: Vector) -> Array | Dual:
+        """J_b(q) x: for x = v the body twist of the tool (linear, angular)."""
+        at = self.at(value(q))
+        xs = value(x)
+        return chain(times(at.J, xs), (lambda: self._bracketed(at.J, xs), q), (lambda: at.J, x))
+
+    def jacobian_transpose(self, q: Vector, f: Vector) -> Array | Dual:
+        """J_b(q)^T f: joint torques of a tool wrench, equation 9.19."""
+        at = self.at(value(q))
+        fs = value(f)
+        return chain(times(at.J_T, fs), (lambda: self._transposed_derivative(at.J, fs), q), (lambda: at.J_T, f))
+
+    def jacobian_dot(self, q: Vector, v: Vector) -> Array | Dual:
+        """(dJ_b/dt) v at velocity v: the part of the tool's acceleration that is not J a."""
+        at = self.at(value(q))
+        vs = value(v)
+        K = self._bracketed(at.J, vs)
+        if not isinstance(q, Dual) and not isinstance(v, Dual):
+            return times(K, vs)
+        dq, dv = self._jacobian_dot_derivatives(at.J, K, vs)
+        return chain(times(K, vs), (lambda: dq, q), (lambda: dv, v))
+
+    def solve_jacobian(self, q: Vector, x: Vector, damping: float = 0.0) -> Array | Dual:
+        """The joint velocity of a body twist x: J^-1 x, or the pseudo-inverse; damping [-] makes it J^T (J J^T + damping^2)^-1.
+
+        Raises NearSingular above condition number 1e6 (unless damped), warns above 1e4.
+        """
+        at = self.at(value(q))
+        xs = value(x)
+        if self.n < 6 and damping == 0.0:
+            return self._solve_tall(at, q, x)
+        if damping == 0.0:
+            at.check_regular()
+        if self.n == 6 and damping == 0.0:
+            inverse = at.J_inverse
+            y = times(inverse, xs)
+            return chain(y, (lambda: -inverse @ self._bracketed(at.J, y), q), (lambda: inverse, x))
+        W = np.linalg.inv(at.J @ at.J_T + damping**2 * np.eye(6))
+        u = times(W, xs)
+        y = times(at.J_T, u)
+
+        def dq() -> Array:
+            turned = self._transposed_derivative(at.J, u)  # d(J^T) u
+            return turned - at.J_T @ (W @ (self._bracketed(at.J, y) + at.J @ turned))
+
+        return chain(y, (dq, q), (lambda: at.J_T @ W, x))
+
+    def _solve_tall(self, at: Configuration, q: Vector, x: Vector) -> Array | Dual:
+        """Least squares for arms of fewer than six joints: (J^T J)^-1 J^T x."""
+        at.check_regular()
+        W = np.linalg.inv(at.J_T @ at.J)
+        y = times(W @ at.J_T, value(x))
+        rest = value(x) - times(at.J, y)
+
+        def dq() -> Array:
+            return W @ (self._transposed_derivative(at.J, rest) - at.J_T @ self._bracketed(at.J, y))
+
+        return chain(y, (dq, q), (lambda: W @ at.J_T, x))
+
+    def mobility(self, q: Vector, f: Vector) -> Array | Dual:
+        """Lambda(q)^-1 f = J M^-1 J^T f."""
+        return self.jacobian(q, self.solve_mass(q, self.jacobian_transpose(q, f)))
+
+    def task_mass(self, q: Vector, x: Vector) -> Array | Dual:
+        """Lambda(q) x with Lambda = (J M^-1 J^T)^-1: equation 9.15. Raises NearSingular like ``solve_jacobian``."""
+        at = self.at(value(q))
+        Lambda = at.Lambda
+        y = times(Lambda, value(x))
+        if not isinstance(q, Dual):
+            return chain(y, (lambda: Lambda, x))
+        back = self.mobility(q, y)  # Lambda^-1 y with y held: its tangent is d(Lambda^-1) y
+        assert isinstance(back, Dual)
+        tangent = x.tangent - back.tangent if isinstance(x, Dual) else -back.tangent
+        return Dual(y, Lambda @ tangent)
+
+    # --- the loops over Pinocchio --------------------------------------------------------------------------------
+
+    def _with_viscous(self, tau: Array | Dual, v: Vector) -> Array | Dual:
+        return tau + v * self.robot.viscous if np.any(self.robot.viscous) else tau
+
+    def _configurations(self, q: Array) -> Array:
+        return np.ascontiguousarray(q if self._plain else self.robot.configuration(q)).reshape(-1, self._model.nq)
+
+    def _each(self, call: Callable[..., Array], size: int, q: Array, *more: Array) -> Array:
+        """A Pinocchio function of (q, ...) at every point."""
+        if q.ndim == 1 and self._order is None and all(x.ndim == 1 for x in more):
+            return np.array(call(q if self._plain else self.robot.configuration(q), *more))
+        lead = np.broadcast_shapes(q.shape[:-1], *(x.shape[:-1] for x in more))
+        columns = self._columns(lead, q, more)
+        out = np.empty((len(columns[0]), size))
+        for i, at in enumerate(zip(*columns, strict=True)):
+            out[i] = call(*at)
+        return (out if self._order is None else out[:, self._back]).reshape(*lead, size)
+
+    def _columns(self, lead: tuple[int, ...], q: Array, more: tuple[Array, ...]) -> list[Array]:
+        columns = [self._configurations(np.broadcast_to(q, (*lead, self.n)))]
+        for x in more:
+            x = np.broadcast_to(x, (*lead, self.n)).reshape(-1, self.n)
+            columns.append(np.ascontiguousarray(x if self._order is None else x[:, self._order]))
+        return columns
+
+    def _collect(self, call: Callable[..., None], views: tuple[Array, ...], q: Array, *more: Array) -> list[Array]:
+        """Call at every point and copy Pinocchio's own arrays (views that each call refills) into batches."""
+        lead = np.broadcast_shapes(q.shape[:-1], *(x.shape[:-1] for x in more))
+        columns = self._columns(lead, q, more)
+        outs = [np.empty((len(columns[0]), *view.shape)) for view in views]
+        for i, at in enumerate(zip(*columns, strict=True)):
+            call(*at)
+            for out, view in zip(outs, views, strict=True):
+                out[i] = view
+        if self._order is not None:
+            outs = [out[:, self._back] if out.ndim == 2 else out[:, self._back[:, None], self._back] for out in outs]
+        return [out.reshape(*lead, *out.shape[1:]) for out in outs]
+
+    # --- derivatives of the Jacobian by brackets -----------------------------------------------------------------
+
+    def _along(self, J: Array, *more: Array) -> list[Array]:
+        """Into the order of the chain, where brackets are sums over earlier joints."""
+        return [x if self._order is None else x[..., self._order] for x in (J, *more)]
+
+    def _unordered(self, columns: Array) -> Array:
+        return columns if self._order is None else columns[..., self._back]
+
+    def _bracketed(self, J: Array, x: Array) -> Array:
+        """d(J x)/dq with x held: column j is [sum over i < j of J_i x_i, J_j], (..., 6, n)."""
+        J, x = self._along(J, x)
+        parts = J * x[..., None, :]
+        return self._unordered(bracket_columns(np.cumsum(parts, axis=-1) - parts, J))
+
+    def _transposed_derivative(self, J: Array, f: Array) -> Array:
+        """d(J^T f)/dq with f held: entry (i, j) is [J_i, J_j] . f for j after i, (..., n, n)."""
+        (J,) = self._along(J)
+        G = np.empty(np.broadcast_shapes(J.shape, (*f.shape, J.shape[-1])))
+        fv, fm = f[..., :3, None], f[..., 3:, None]
+        v, w = J[..., :3, :], J[..., 3:, :]
+        G[..., :3, :] = cross_columns(w, fv)
+        G[..., 3:, :] = cross_columns(v, fv) + cross_columns(w, fm)
+        out = np.triu(np.swapaxes(J, -1, -2) @ G, 1)
+        return out if self._order is None else out[..., self._back[:, None], self._back]
+
+    def _jacobian_dot_derivatives(self, J: Array, K: Array, v: Array) -> tuple[Array, Array]:
+        """d(J' v)/dq and d(J' v)/dv, (..., 6, n) each."""
+        J, K, v = self._along(J, K, v)
+        Jv, Kv = J * v[..., None, :], K * v[..., None, :]
+        before = np.cumsum(Kv, axis=-1) - Kv  # acceleration gathered before joint k
+        after = np.sum(Jv, axis=-1, keepdims=True) - np.cumsum(Jv, axis=-1)  # twist added behind joint k
+        dq = bracket_columns(before, J) + bracket_columns(K, Jv + after)
+        dv = K + bracket_columns(J, after)
+        return self._unordered(dq), self._unordered(dv)
+
+
+class Configuration:
+    """M, J, X and their inverses at q (..., n), each computed when first asked for."""
+
+    def __init__(self, primitives: Primitives, q: Array) -> None:
+        self.q = q
+        self._of = primitives
+        self._regular = False
+
+    @cached_property
+    def _kinematics(self) -> tuple[Array, Array, Array]:
+        of = self._of
+        model, data, frame = of._model, of._data, of.robot.frame_id
+        joint, placement = model.frames[frame].parentJoint, model.frames[frame].placement
+        points = of._configurations(self.q)
+        J, R, p = np.empty((len(points), 6, of.n)), np.empty((len(points), 3, 3)), np.empty((len(points), 3))
+        for i, at in enumerate(points):
+            pin.computeJointJacobians(model, data, at)
+            J[i] = pin.getFrameJacobian(model, data, frame, pin.LOCAL).reshape(6, of.n)  # (6,) for a single joint
+            X = data.oMi[joint] * placement
+            R[i], p[i] = X.rotation, X.translation
+        lead = self.q.shape[:-1]
+        J = of._unordered(J)
+        return J.reshape(*lead, 6, of.n), R.reshape(*lead, 3, 3), p.reshape(*lead, 3)
+
+    @property
+    def J(self) -> Array:
+        """Body Jacobian (..., 6, n)."""
+        return self._kinematics[0]
+
+    @property
+    def R(self) -> Array:
+        """Tool rotation (..., 3, 3)."""
+        return self._kinematics[1]
+
+    @property
+    def p(self) -> Array:
+        """Tool position (..., 3)."""
+        return self._kinematics[2]
+
+    @cached_property
+    def J_T(self) -> Array:
+        """J^T, (..., n, 6)."""
+        return np.ascontiguousarray(np.swapaxes(self.J, -1, -2))
+
+    @cached_property
+    def M(self) -> Array:
+        """Mass matrix (..., n, n), armature included."""
+        of = self._of
+
+        def crba(at: Array) -> None:
+            pin.crba(of._model, of._data, at)
+
+        (M,) = of._collect(crba, (of._data.M,), self.q)
+        return symmetric(M)
+
+    @cached_property
+    def M_inverse(self) -> Array:
+        """M^-1, (..., n, n)."""
+        return np.linalg.inv(self.M)
+
+    @cached_property
+    def J_inverse(self) -> Array:
+        """J^-1 of a six-joint arm; call ``check_regular`` first."""
+        return np.linalg.inv(self.J)
+
+    @cached_property
+    def Lambda(self) -> Array:
+        """(J M^-1 J^T)^-1, (..., 6, 6). Raises NearSingular."""
+        self.check_regular()
+        return np.linalg.inv(self.J @ self.M_inverse @ self.J_T)
+
+    def check_regular(self) -> None:
+        """Warn where the condition number of J exceeds 1e4, raise NearSingular above 1e6 (or where rank is below min(6, n))."""
+        if self._regular:
+            return
+        sigma = np.linalg.svd(self.J, compute_uv=False)
+        low, high = np.ravel(sigma[..., -1]), np.ravel(sigma[..., 0])
+        condition = np.divide(high, low, out=np.full_like(high, np.inf), where=low > 0)
+        worst = int(np.argmax(condition))
+        times_ = self._of.times
+        when = None if times_ is None or np.size(times_) != condition.size else float(np.ravel(times_)[worst])
+        tool = self._of.robot.tool
+        if condition[worst] > REFUSE_CONDITION:
+            raise NearSingular(tool, float(low[worst]), float(condition[worst]), when)
+        if condition[worst] > WARN_CONDITION:
+            warnings.warn(str(NearSingular(tool, float(low[worst]), float(condition[worst]), when)), MfcWarning, stacklevel=2)
+        self._regular = True
+
+
+def symmetric(upper: Array) -> Array:
+    """A full symmetric matrix from one whose upper triangle is filled (what Pinocchio gives)."""
+    n = upper.shape[-1]
+    i, j = np.tril_indices(n, -1)
+    upper[..., i, j] = upper[..., j, i]
+    return upper
+
+
+def cross_columns(a: Array, b: Array) -> Array:
+    """Cross products of the columns of (..., 3, n) arrays."""
+    ax, ay, az = a[..., 0, :], a[..., 1, :], a[..., 2, :]
+    bx, by, bz = b[..., 0, :], b[..., 1, :], b[..., 2, :]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-2)
+
+
+def bracket_columns(V: Array, W: Array) -> Array:
+    """[V_j, W_j] for the columns of (..., 6, n) twists."""
+    v, w, x, y = V[..., :3, :], V[..., 3:, :], W[..., :3, :], W[..., 3:, :]
+    return np.concatenate([cross_columns(w, x) + cross_columns(v, y), cross_columns(w, y)], axis=-2)
