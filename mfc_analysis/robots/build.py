@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import cast
 
@@ -47,7 +48,24 @@ def lock(model: pin.Model, locked: Locked) -> pin.Model:
         angle = checks.number(f"locked[{name!r}]", value)
         q[joint.idx_q : joint.idx_q + joint.nq] = angle if joint.nq == 1 else (np.cos(angle), np.sin(angle))
         ids.append(model.getJointId(name))
-    return pin.buildReducedModel(model, ids, q) if ids else pin.Model(model)
+    return _reduced(model, ids, q) if ids else pin.Model(model)
+
+
+def _reduced(model: pin.Model, ids: list[int], q: Array) -> pin.Model:
+    """Pinocchio's reduced model. It refuses a joint that shares its name with a link, so such joints have another name on the way."""
+    model = pin.Model(model)
+    count = Counter(f.name for f in model.frames)
+    real = {f"joint {i} of {name}": name for i, name in enumerate(model.names) if i > 0 and count[name] > 1}
+    for given, name in real.items():
+        i = model.getJointId(name)
+        model.frames[model.getFrameId(name, pin.FrameType.JOINT)].name = given
+        model.names[i] = given
+    reduced = pin.buildReducedModel(model, ids, q)
+    for i, name in enumerate(reduced.names):
+        reduced.names[i] = real.get(name, name)
+    for i, frame in enumerate(reduced.frames):
+        reduced.frames[i].name = real.get(frame.name, frame.name)
+    return reduced
 
 
 def check_joints(model: pin.Model, mimic: Iterable[str] = ()) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from mfc_analysis.errors import BadArgument, MfcError, MfcWarning, UnknownName
 from mfc_analysis.maths import checks
 from mfc_analysis.robots.build import Locked
 from mfc_analysis.robots.robot import Robot
+from mfc_analysis.robots.urdf import moving_joints, read_urdf
 
 EARTH = 9.81  #: [m/s^2]
 
@@ -165,51 +166,100 @@ def ur5() -> Robot:
 # --- of example-robot-data -----------------------------------------------------------------------------------------------
 
 
+def _numbered(pattern: str, count: int, first: int = 1) -> tuple[str, ...]:
+    return tuple(pattern.format(i) for i in range(first, first + count))
+
+
 @dataclass(frozen=True)
 class _Entry:
-    """Where an arm of example-robot-data is, its tool, and the joints locked (at 0) to make it a serial arm."""
+    """Where an arm of example-robot-data is, its tool (None: the last link), and the joints that move (None: all); the others are locked at 0."""
 
     path: str
-    tool: str
-    locked: tuple[str, ...] = ()
+    tool: str | None = None
+    moving: tuple[str, ...] | None = None
 
 
-_FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+_BAXTER, _PR2 = (
+    ("s0", "s1", "e0", "e1", "w0", "w1", "w2"),
+    ("shoulder_pan", "shoulder_lift", "upper_arm_roll", "elbow_flex", "forearm_roll", "wrist_flex", "wrist_roll"),
+)
+_SO = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+_PANDA = _numbered("panda_joint{}", 7)
 _ARMS: dict[str, _Entry] = {
-    "panda": _Entry("panda_description/urdf/panda.urdf", "panda_hand_tcp", _FINGERS),
+    "asr_twodof": _Entry("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
+    "baxter_left": _Entry("baxter_description/urdf/baxter.urdf", "left_gripper", tuple(f"left_{x}" for x in _BAXTER)),
+    "baxter_right": _Entry("baxter_description/urdf/baxter.urdf", "right_gripper", tuple(f"right_{x}" for x in _BAXTER)),
+    "borinot_arm": _Entry("borinot_description/urdf/borinot_flying_arm_2.urdf", "flying_arm_2__ee"),
+    "double_pendulum": _Entry("double_pendulum_description/urdf/double_pendulum.urdf"),
+    "double_pendulum_continuous": _Entry("double_pendulum_description/urdf/double_pendulum_continuous.urdf"),
+    "double_pendulum_simple": _Entry("double_pendulum_description/urdf/double_pendulum_simple.urdf"),
+    "finger_edu": _Entry("finger_edu_description/robots/finger_edu.urdf", "finger_tip_link"),
+    "hextilt_arm": _Entry("hextilt_description/urdf/hextilt_flying_arm_5.urdf", "flying_arm_5__gripper"),
+    "kinova": _Entry("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector", _numbered("j2s6s200_joint_{}", 6)),
+    "panda": _Entry("panda_description/urdf/panda.urdf", "panda_hand_tcp", _PANDA),
+    "panda_collision": _Entry("panda_description/urdf/panda_collision.urdf", "panda_hand_tcp", _PANDA),
+    "pr2_left": _Entry("pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame", tuple(f"l_{x}_joint" for x in _PR2)),
+    "pr2_right": _Entry("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame", tuple(f"r_{x}_joint" for x in _PR2)),
+    "so100": _Entry("so_arm_description/urdf/so100.urdf", "gripper", _SO),
+    "so101": _Entry("so_arm_description/urdf/so101.urdf", "gripper_frame_link", _SO),
+    "talos_left_arm": _Entry("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link", _numbered("arm_left_{}_joint", 6, first=2)),
+    "tiago": _Entry("tiago_description/robots/tiago.urdf", "wrist_ft_tool_link", _numbered("arm_{}_joint", 7)),
+    "tiago_no_hand": _Entry("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link", _numbered("arm_{}_joint", 7)),
+    "tiago_dual_left": _Entry("tiago_description/robots/tiago_dual.urdf", "wrist_left_ft_tool_link", _numbered("arm_left_{}_joint", 7)),
+    "tiago_dual_right": _Entry("tiago_description/robots/tiago_dual.urdf", "wrist_right_ft_tool_link", _numbered("arm_right_{}_joint", 7)),
+    "tiago_pro_left": _Entry("tiago_pro_description/robots/tiago_pro.urdf", "arm_left_tool_link", _numbered("arm_left_{}_joint", 7)),
+    "tiago_pro_right": _Entry("tiago_pro_description/robots/tiago_pro.urdf", "arm_right_tool_link", _numbered("arm_right_{}_joint", 7)),
+    "ur3": _Entry("ur_description/urdf/ur3_robot.urdf", "tool0"),
+    "ur3_gripper": _Entry("ur_description/urdf/ur3_gripper.urdf", "tool0"),
+    "ur3_limited": _Entry("ur_description/urdf/ur3_joint_limited_robot.urdf", "tool0"),
     "ur5": _Entry("ur_description/urdf/ur5_robot.urdf", "tool0"),
+    "ur5_gripper": _Entry("ur_description/urdf/ur5_gripper.urdf", "tool0"),
+    "ur5_limited": _Entry("ur_description/urdf/ur5_joint_limited_robot.urdf", "tool0"),
+    "ur10": _Entry("ur_description/urdf/ur10_robot.urdf", "tool0"),
+    "ur10_limited": _Entry("ur_description/urdf/ur10_joint_limited_robot.urdf", "tool0"),
+    "xarm7": _Entry("xarm_description/urdf/xarm7.urdf", "link_eef"),
+    "z1": _Entry("z1_description/urdf/z1.urdf", "gripperStator", _numbered("joint{}", 6)),
 }
+_ALIASES = {"baxter": "baxter_right", "borinot": "borinot_arm", "hextilt": "hextilt_arm", "pr2": "pr2_right", "talos_arm": "talos_left_arm"}
 _EMBEDDED: dict[str, Callable[[], Robot]] = {"single_joint": single_joint, "slider": slider, "rp": rp, "planar_2r": planar_2r, "ur5": ur5}
 
 
 def names() -> tuple[str, ...]:
-    """Names that :func:`load` takes: the embedded robots and the arms of example-robot-data (whether or not that is installed)."""
+    """Names that :func:`load` takes: the embedded robots and the arms of example-robot-data, whether or not that is installed."""
     return tuple(sorted({*_EMBEDDED, *_ARMS}))
 
 
 def load(name: str, tool: str | None = None, locked: Locked = None) -> Robot:
-    """A fixed-base arm of the optional example-robot-data by name, or an embedded robot (``"ur5"`` is the file's; ``ur5()`` the embedded one).
+    """An arm of the optional example-robot-data by name, or an embedded robot (``"ur5"`` is the file's; ``ur5()`` the embedded one).
 
     Args:
-        name: one of :func:`names`. tool: a link or frame; None: the arm's flange or hand.
-        locked: joints to weld, names or ``{name: value}``; None: fingers, head, wheels, the other arm, whatever is not the arm (``[]``: nothing).
+        name: one of :func:`names`. tool: a link or frame; None: the arm's flange or hand (``robot.tool``).
+        locked: joints to weld, names or ``{name: value}`` [rad or m]; None: fingers, head, torso, wheels, the other arm: whatever is not the arm,
+            at 0. Naming some keeps only those locked (``[]``: none).
 
-    Raises ``UnknownName``; ``MissingRobots`` where example-robot-data is not installed.
+    Raises ``UnknownName``; ``MissingRobots`` (a ``ValueError``) where example-robot-data is not installed.
     """
+    name = _ALIASES.get(name, name) if isinstance(name, str) else name
     if not isinstance(name, str) or name not in names():
         raise UnknownName("name", name, names())
     if name not in _ARMS:
         robot = _EMBEDDED[name]()
-        return robot if tool is None and not locked else Robot.from_pinocchio(robot.model, tool=tool or robot.tool, locked=locked)
+        return robot if tool is None and not locked else _changed(robot, tool, locked)
     entry = _ARMS[name]
     path = _data_folder(name) / entry.path
     if not path.is_file():
-        raise MissingRobots(name, f"the installed example-robot-data has no {entry.path}; a newer one may")
-    if isinstance(locked, str):
-        locked = [locked]
-    if not isinstance(locked, (Mapping, Sequence, type(None))):
-        raise BadArgument("locked", locked, "names of joints, or {name: value}")
-    return Robot.from_urdf(path, tool=tool or entry.tool, locked=entry.locked if locked is None else locked)
+        raise MissingRobots(name, f"the installed example-robot-data has no {entry.path}; another version may")
+    text = read_urdf(path)
+    if locked is None and entry.moving is not None:
+        locked = [joint for joint in moving_joints(text) if joint not in entry.moving]
+    robot = Robot.from_urdf(text, tool=tool or entry.tool, locked=locked)
+    return replace(robot, name=name)
+
+
+def _changed(robot: Robot, tool: str | None, locked: Locked) -> Robot:
+    model = pin.Model(robot.model)
+    model.damping = np.array(robot.viscous)  # embedded robots have Pinocchio's order
+    return Robot.from_pinocchio(model, tool=tool or robot.tool, locked=locked)
 
 
 class MissingRobots(MfcError, ValueError):
@@ -221,7 +271,9 @@ class MissingRobots(MfcError, ValueError):
 
 
 def _data_folder(name: str) -> Path:
-    missing = "it needs the robots of example-robot-data: pip install mfc-analysis[robots]" + ("; robots.ur5() is embedded" if name == "ur5" else "")
+    missing = "it needs the robot files of example-robot-data: pip install mfc-analysis[robots]" + (
+        "; robots.ur5() is embedded" if name == "ur5" else ""
+    )
     try:
         files = importlib.metadata.files("example-robot-data") or []
     except importlib.metadata.PackageNotFoundError as why:

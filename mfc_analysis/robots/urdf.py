@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 from mfc_analysis.errors import BadArgument, BadRobot
 
 _KEPT = ("link", "joint")
-_PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics")}
+_PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics"), "fixed": ("origin", "parent", "child")}
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _NUMBERS = {  # attributes that are numbers, by tag
     "mass": {"value": 1},
@@ -74,9 +74,16 @@ def checked_urdf(text: str) -> tuple[str, tuple[str, ...]]:
     return ElementTree.tostring(bare, encoding="unicode"), mimic
 
 
+def moving_joints(text: str) -> tuple[str, ...]:
+    """Names of the joints of a URDF that are not fixed, in the file's order."""
+    checked, _ = checked_urdf(text)
+    return tuple(str(j.get("name")) for j in ElementTree.fromstring(checked).findall("joint") if j.get("type") != "fixed")
+
+
 def _stripped(element: ElementTree.Element) -> ElementTree.Element:
     out = ElementTree.Element(element.tag, element.attrib)
-    out.extend(child for child in element if child.tag in _PARTS[element.tag])
+    kept = _PARTS["fixed" if element.get("type") == "fixed" else element.tag]
+    out.extend(child for child in element if child.tag in kept)
     return out
 
 
@@ -140,6 +147,8 @@ def _check_tree(robot: ElementTree.Element) -> None:
         if ends[1] in parent:
             raise BadRobot(f"link {ends[1]!r} is the child of more than one joint: closed chains are not supported")
         parent[ends[1]] = ends[0]
+    if not links:
+        raise BadRobot("the URDF has no link")
     roots = sorted(str(link) for link in links if link not in parent)
     if len(roots) != 1:
         raise BadRobot(f"the URDF needs exactly one root link and has {len(roots)}" + (f": {', '.join(roots)}" if roots else ""))
