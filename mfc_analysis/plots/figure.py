@@ -50,7 +50,7 @@ SHEETS: dict[str, Sheet] = {
     "nyquist": Sheet((2.75, 3.3), ((0.52, 0.44, 2.11, 2.6),)),
     "pole map": Sheet((3.1, 3.1), ((0.62, 0.44, 2.36, 2.4),)),
     "step": _stack(3.4, 2, 1.1, left=0.66),
-    "map": Sheet((4.4, 3.2), ((0.68, 0.48, 3.58, 2.44),)),
+    "map": Sheet((3.4, 2.9), ((0.68, 0.46, 2.58, 2.16),)),
     "arm": Sheet((3.1, 3.1), ((0.56, 0.44, 2.42, 2.42),)),
     "disc": Sheet((3.1, 3.1), ((0.56, 0.44, 2.42, 2.42),)),
     "block": Sheet((6.5, 1.9), ((0.0, 0.0, 6.5, 1.9),)),
@@ -89,6 +89,10 @@ def _dress(ax: Axes) -> None:
     ax.grid(True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
     ax.tick_params(labelsize=_SMALL, length=2.5, width=0.6, pad=2)
+    from matplotlib.ticker import FuncFormatter
+
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda value, _: tick(value)))
     for name, spine in ax.spines.items():
         spine.set_linewidth(0.7)
         spine.set_visible(name in ("left", "bottom"))
@@ -118,15 +122,28 @@ def note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK, ha: 
 
 
 def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = False) -> None:
-    """A legend without a frame; ``above``: in a line over the axes, at the right."""
+    """A legend without a frame; ``above``: in one line over the axes, at the right, its names shortened until they fit the sheet."""
     handles, labels = ax.get_legend_handles_labels()
     if not handles:
         return
-    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1} if above else {"loc": where}
-    found = ax.legend(handles, labels, ncols=columns, fontsize=_SMALL, frameon=not above, handlelength=1.6, columnspacing=1.0, handletextpad=0.4, **place)
-    frame = found.get_frame()
-    frame.set_linewidth(0.0)
-    frame.set_facecolor("none")
+    place: dict[str, Any] = {"loc": where}
+    if above:
+        labels, columns = fitting(labels, ax.get_figure().get_figwidth() - 0.3), len(labels)
+        place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+    found = ax.legend(handles, labels, ncols=columns, fontsize=_SMALL, frameon=False, handlelength=1.4, columnspacing=0.9, handletextpad=0.4, **place)
+    found.set_in_layout(False)
+
+
+def fitting(labels: Sequence[str], room: float) -> list[str]:
+    """Labels of a legend in one line of ``room`` [inch]: a suffix that all joints share goes first, then the ends of the longest."""
+    out = [" ".join(str(x).split()) for x in labels]
+    letters = int((room - 0.32 * len(out)) / 0.065)
+    if sum(map(len, out)) > letters and sum(x.endswith("_joint") for x in out) > 1:
+        out = [x.removesuffix("_joint") for x in out]
+    while sum(map(len, out)) > letters and max(map(len, out)) > 3:
+        k = max(range(len(out)), key=lambda i: len(out[i]))
+        out[k] = out[k].rstrip("…")[:-1] + "…"
+    return out
 
 
 def log_grid(ax: Axes, low: float, high: float) -> None:
@@ -150,10 +167,27 @@ def written(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
 
 
+def tick(value: float) -> str:
+    """A tick label without an offset: plain from 0.001 to 99999, else with an exponent."""
+    size = abs(value)
+    if size < 1e-12 or 1e-3 <= size < 99999.5:
+        said = f"{value:.5g}" if size >= 1e-12 else "0"
+    else:
+        mantissa, power = f"{value:.2e}".split("e")
+        said = f"{float(mantissa):g}e{int(power)}"
+    return said.replace("-", "\N{MINUS SIGN}")
+
+
+def empty(ax: Axes, text: str, color: str = INK) -> None:
+    """Says in the middle of the axes why nothing is drawn there, and takes the numbers off its y axis."""
+    ax.set_yticks([])
+    note(ax, text, (0.5, 0.5), color=color, ha="center", inside=True)
+
+
 def decade(value: float) -> str:
     """A tick label on a log-symmetric axis: plain to 1000, a power of ten beyond."""
     size = abs(value)
-    if size in (0.0,) or 1e-3 <= size < 2e3:
+    if size == 0.0 or 1e-3 <= size < 2e3:
         return written(value, 4)
     import math
 

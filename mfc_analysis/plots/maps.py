@@ -24,7 +24,7 @@ def stability_map(
     """Where a loop is stable over two parameters.
 
     Args:
-        x: (nx,), y: (ny,). growth: (ny, nx), negative where stable (e.g. the largest real part of the poles); its zero is the boundary.
+        x: (nx,), y: (ny,). growth: (ny, nx), negative where stable (e.g. the largest real part of the poles); its zero is the boundary; NaN counts as unstable.
         log: axes that are logarithmic: "x", "y", "xy" or "". points: (x, y, stable) of simulated runs, marked on top.
 
     Raises:
@@ -34,9 +34,9 @@ def stability_map(
     if values.shape != (up.size, across.size):
         raise BadArgument("growth", f"shape {values.shape}", f"shape ({up.size}, {across.size})")
     ax = ax if ax is not None else sheet.axes_for("map")
-    scale = np.nanmax(np.abs(values)) or 1.0
-    flat = np.arcsinh(np.nan_to_num(values, nan=scale) / scale * 1e3)
-    ax.contourf(across, up, flat, levels=[-1e9, 0.0, 1e9], colors=[_STABLE, _UNSTABLE])
+    bound = float(np.max(np.abs(values[np.isfinite(values)]), initial=1.0))
+    flat = np.nan_to_num(values, nan=bound, posinf=bound, neginf=-bound)
+    ax.contourf(across, up, flat, levels=[-2 * bound, 0.0, 2 * bound], colors=[_STABLE, _UNSTABLE])
     if flat.min() < 0 < flat.max():
         ax.contour(across, up, flat, levels=[0.0], colors=[sheet.INK], linewidths=1.2)
     from matplotlib.ticker import NullLocator

@@ -42,6 +42,7 @@ def margins(found: Any, *, figure: str = "phase_deg", asked: float | None = None
         found: ``times`` (m,) [s], ``channels`` (n,), ``stable`` (m,), and the figure (m, n); NaN where unstable, inf where nothing limits (not drawn, said).
         figure: "phase_deg", "gain_increase_db", "gain_reduction_db", "delay" (drawn in ms, ``asked`` in s) or "sensitivity_peak".
     """
+    alone = ax is None
     ax = ax if ax is not None else sheet.axes_for("time history")
     values = figure_values(found, figure)
     times = np.asarray(found.times, float)
@@ -56,12 +57,17 @@ def margins(found: Any, *, figure: str = "phase_deg", asked: float | None = None
     _worst(ax, times, shown, high=figure in _TIGHTEST)
     if times.size > 1:
         ax.set_xlim(times[0], times[-1])
+    else:
+        ax.set_xlim(times[0] - 1, times[0] + 1)
+        ax.set_xticks([times[0]])
     if np.isnan(shown).all():
         said = "no limit at any time" if np.isposinf(values).any() else "unstable at every time"
-        sheet.note(ax, said, (0.5, 0.5), ha="center", inside=True)
+        sheet.empty(ax, said)
     elif not np.isfinite(values[np.asarray(found.stable, bool)]).all():
         sheet.note(ax, "no limit where no line is drawn", (0.01, 0.06), color=sheet.GREY, inside=True)
     sheet.label(ax, "t [s]", _NAMES[figure])
+    if alone and len(found.channels) > 1:
+        sheet.legend(ax, above=True)
     return ax
 
 
@@ -87,8 +93,11 @@ def _unstable(ax: Axes, times: Array, stable: NDArray[np.bool_]) -> None:
     if stable.all():
         return
     edges = np.concatenate(([times[0]], (times[1:] + times[:-1]) / 2, [times[-1]]))
-    for i in np.nonzero(~stable)[0]:
-        ax.axvspan(edges[i], max(edges[i + 1], edges[i] + 1e-9), color=sheet.SHADE, linewidth=0, zorder=0.2)
+    turns = np.flatnonzero(np.diff(np.concatenate(([0], ~stable, [0]))))
+    for first, last in turns.reshape(-1, 2):
+        ax.axvspan(edges[first], edges[last], color=sheet.SHADE, linewidth=0, zorder=0.2)
+        if last - first > 0.08 * times.size and not stable.all() and stable.any():
+            sheet.note(ax, "unstable", ((edges[first] + edges[last]) / 2, 0.9), color=sheet.BAD, ha="center", mixed=True)
 
 
 def _worst(ax: Axes, times: Array, values: Array, high: bool) -> None:

@@ -36,7 +36,7 @@ def step(
     if torque is not None:
         lower.plot(np.asarray(torque[0], float), np.asarray(torque[1], float), color=sheet.LIMIT if nonlinear is not None else sheet.colour(index), linewidth=1.2)
     else:
-        sheet.note(lower, "torque not recorded", (0.5, 0.5), color=sheet.GREY, ha="center", inside=True)
+        sheet.empty(lower, "torque not recorded", sheet.GREY)
     if torque_limit is not None and np.isfinite(torque_limit):
         for side in (1, -1):
             lower.axhline(side * torque_limit, color=sheet.INK, linewidth=0.8, linestyle=":")

@@ -73,10 +73,10 @@ class _Builder:
             out: list[s.Section] = []
             given = self.document.provenance
             if given is not None:
-                body: list[s.Block] = [s.Table("What made these pages.", (s.Column("What", numeric=False), s.Column("Which", numeric=False)),
-                                               tuple((name, s.Mono(value)) for name, value in given.items))]
-                if given.command:
-                    body += [s.Paragraph("To make them again:"), s.Code(given.command)]
+                rows = tuple((name, s.Mono(value)) for name, value in given.items)
+                rows += (("To make them again", s.Mono(given.command)),) if given.command else ()
+                columns = (s.Column("What", numeric=False), s.Column("Which", numeric=False))
+                body: list[s.Block] = [s.Table("What made these pages.", columns, rows)]
                 if given.note:
                     body.append(s.Paragraph(given.note))
                 out.append(s.Section("Provenance", body=tuple(body), key="provenance"))

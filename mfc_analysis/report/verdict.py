@@ -80,8 +80,8 @@ def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
 def requirements(section: Section) -> Table:
     """The checks of one section, failures first: check, value, limit, distance, where, result."""
     rows = sorted(section.checks, key=lambda c: c.severity, reverse=True)
-    columns = (Column("Check", numeric=False), Column("Found"), Column("Asked"), Column("Distance"), Column("Where", numeric=False), Column("Result"))
-    return Table("What was asked of this loop, the worst first.", columns, tuple((c.name, c.value, c.limit, c.margin, c.place, c.status) for c in rows))
+    columns = (Column("Check", numeric=False), Column("Found"), Column("Asked"), Column("Result"), Column("Distance"), Column("Where", numeric=False))
+    return Table("What was asked of this loop, the worst first.", columns, tuple((c.name, c.value, c.limit, c.status, c.margin, c.place) for c in rows))
 
 
 def _cell(pair: tuple[Section, Check] | None, keys: dict[int, str]) -> MatrixCell | None:

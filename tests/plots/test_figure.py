@@ -1,0 +1,162 @@
+"""What holds for every kind of figure: no text leaves its sheet, same bytes twice, colours, a second process that agrees with the first."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+import kinds
+import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
+
+from mfc_analysis import plots
+from mfc_analysis.errors import UnknownName
+from mfc_analysis.plots import figure as sheet
+from mfc_analysis.plots.batch import drawn
+from mfc_analysis.plots.frequency import phase_deg
+
+KINDS = kinds.every_kind()
+
+
+def texts(figure, monkeypatch):
+    """Every text that is really drawn with its box and the sheet's, in pixels."""
+    seen, plain = [], Text.draw
+
+    def draw(self, renderer):
+        seen.append(self)
+        plain(self, renderer)
+
+    monkeypatch.setattr(Text, "draw", draw)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    for text in seen:
+        if text.get_visible() and text.get_text().strip():
+            yield text.get_text(), Text.get_window_extent(text, canvas.get_renderer()), figure.bbox
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_text_leaves_the_sheet(kind, monkeypatch):
+    with matplotlib.rc_context(sheet.settings()):
+        figure = sheet.figure_of(KINDS[kind]())
+        outside = [f"{said!r} at {box.x0:.0f}..{box.x1:.0f}, {box.y0:.0f}..{box.y1:.0f} of {whole.width:.0f} x {whole.height:.0f}" for said, box, whole in texts(figure, monkeypatch)
+                   if box.x0 < -0.5 or box.y0 < -0.5 or box.x1 > whole.width + 0.5 or box.y1 > whole.height + 0.5]
+    assert not outside
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_figure_is_the_same_bytes_twice(kind):
+    assert sheet.svg(KINDS[kind]) == sheet.svg(KINDS[kind])
+
+
+def test_a_users_settings_change_nothing():
+    before = sheet.svg(KINDS["bode"])
+    with matplotlib.rc_context({"font.size": 30, "axes.grid": False, "svg.fonttype": "path", "lines.linewidth": 9, "font.family": "serif"}):
+        assert sheet.svg(KINDS["bode"]) == before
+
+
+def test_figures_carry_no_date_and_keep_their_text_as_text():
+    text = sheet.svg(KINDS["bode"])
+    assert "<dc:date>" not in text
+    assert ">ω [rad/s]<" in text.replace("\n", "")
+
+
+def test_a_joint_keeps_its_colour_in_every_kind_of_figure():
+    found = kinds.history()
+    lines = [ax.get_lines()[2].get_color() for ax in (plots.margins(found), plots.margin_history(found)[0])]
+    run = plots.traces(np.arange(3.0), (plots.Panel("q [rad]", np.zeros((3, 6))),))[0]
+    w = np.geomspace(0.1, 100, 50)
+    bode = plots.bode(w, 1 / (1j * w), index=2)[0]
+    assert {*lines, run.get_lines()[2].get_color(), bode.get_lines()[0].get_color()} == {sheet.colour(2)}
+
+
+def test_an_unknown_kind_of_sheet_lists_those_there_are():
+    with pytest.raises(UnknownName) as caught:
+        sheet.panels_for("bodes")
+    assert "bode" in caught.value.known
+
+
+@pytest.mark.parametrize("lag_turns", [0, 1, 2, -1])
+def test_the_phase_is_normalised_at_the_crossover_whatever_its_turns_before(lag_turns):
+    w = np.geomspace(1e-2, 1e3, 2000)
+    L = 1 / (1j * w) ** 2 * (1 + 1j * w) * 2           # PD on a double integrator: phase margin at its crossover
+    crossover = w[np.argmin(np.abs(np.abs(L) - 1))]
+    margin = 180 + np.degrees(np.angle(L[np.argmin(np.abs(np.abs(L) - 1))]))
+    turned = L * np.exp(2j * np.pi * lag_turns)
+    at = np.interp(np.log(crossover), np.log(w), phase_deg(turned, w, crossover))
+    assert at == pytest.approx(-180 + margin, abs=0.1)
+
+
+def test_a_phase_that_falls_past_minus_540_before_its_crossover_still_meets_its_arrow():
+    w = np.geomspace(1e-2, 1e3, 4000)
+    L = 30 / (1 + 1j * w / 0.1) ** 2 * np.exp(-1j * w * 3)
+    at = int(np.argmin(np.abs(np.abs(L) - 1)))
+    assert abs(phase_deg(L, w, w[at])[at] + 180) <= 180
+
+
+def test_gain_arrows_stand_where_the_drawn_curve_crosses_the_negative_real_axis():
+    from mfc_analysis.plots.frequency import _crossing
+
+    w = np.geomspace(0.01, 100, 3000)
+    L = 25 / ((1j * w) ** 3 + 10 * (1j * w) ** 2 + 10 * 1j * w + 10)      # crosses at w = sqrt(10): L = 25/(10 - 100) = -1/3.6
+    assert _crossing(w, L, 3.6) == pytest.approx(np.sqrt(10), rel=1e-4)
+    assert _crossing(w, L, 50.0) is None
+
+
+def test_two_processes_draw_what_one_draws_and_in_order():
+    recipes = [KINDS["poles"], KINDS["disk"], lambda: plots.poles(np.array([-1.0]))] * 8
+    assert drawn(recipes) == sheet.svgs(recipes)
+
+
+def test_progress_counts_every_figure_once():
+    counts = []
+    drawn([KINDS["disk"]] * 24, progress=counts.append)
+    assert sum(counts) == 24
+
+
+def test_the_second_process_imports_neither_control_nor_pinocchio():
+    code = "import sys, mfc_analysis.plots.worker, mfc_analysis.plots as p; p.svg(p.axes_for('map')); print([m for m in ('control', 'pinocchio', 'scipy', 'pyplot') if m in sys.modules or f'matplotlib.{m}' in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+def test_importing_plots_does_not_load_matplotlib():
+    run = subprocess.run([sys.executable, "-c", "import sys, mfc_analysis.plots; print('matplotlib' in sys.modules)"], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "False"
+
+
+def test_a_stability_map_draws_its_boundary_where_the_growth_is_zero():
+    x, y = np.linspace(0, 2, 41), np.linspace(0, 2, 41)
+    ax = plots.stability_map(x, y, x[None, :] - 1 + 0 * y[:, None], xlabel="x", ylabel="y", log="")
+    line = [c for c in ax.collections if c.get_linewidth()[0] == 1.2][0].get_paths()[0].vertices
+    np.testing.assert_allclose(line[:, 0], 1.0, atol=1e-12)
+
+
+def test_a_map_is_small_and_names_its_regions():
+    text = sheet.svg(partial(plots.stability_map, *kinds._map(), xlabel="k [N/m]", ylabel="g [-]"))
+    assert len(text) < 70_000
+    assert ">stable<" in text.replace("\n", "") and ">unstable<" in text.replace("\n", "")
+
+
+def test_the_test_of_texts_sees_a_label_that_leaves_the_sheet(monkeypatch):
+    ax = sheet.axes_for("pole map")
+    ax.set_ylabel("a label much too long for the height of such a small sheet of paper, and longer")
+    assert any(box.y0 < 0 for _, box, _ in texts(ax.figure, monkeypatch))
+
+
+@pytest.mark.parametrize("count", [1, 6, 8])
+def test_a_legend_is_shortened_until_it_fits(count):
+    names = [f"a_rather_long_name_of_{i}_joint" for i in range(count)]
+    assert sum(map(len, sheet.fitting(names, 6.2))) * 0.065 + 0.32 * count <= 6.2
+    assert sheet.fitting(("q1", "q2"), 6.2) == ["q1", "q2"]
+
+
+@pytest.mark.parametrize(("value", "said"), [(0.0, "0"), (-1e5, "−1e5"), (1e-6, "1e-6"), (0.25, "0.25"), (12000.0, "12000")])
+def test_tick_labels_have_no_offset(value, said):
+    assert sheet.tick(value).replace("−", "-") == said.replace("−", "-")
