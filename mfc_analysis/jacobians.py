@@ -41,13 +41,13 @@ def _tangent(x: Vector, shape: tuple[int, int], width: int) -> Array:
     return x.tangent if isinstance(x, Dual) else np.zeros((*shape, width))
 
 
-def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state") -> Array:
+def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state", *, lose_contact: bool = False) -> Array:
     """A of the closed loop (m, nx, nx), dead time left out."""
     if equations.algebraic:
         return close_wires(open_system(equations, times, x, coordinates))[0]
     nx = equations.nx
     seeded = _seed(x, 0, nx)
-    flow = equations.flow(times, seeded)
+    flow = equations.flow(times, seeded, lose_contact=lose_contact)
     rates = equations.join(flow.rates)
     A = _tangent(rates, x.shape, nx)  # type: ignore[arg-type]
     if coordinates == "state":

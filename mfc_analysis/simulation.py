@@ -1,0 +1,365 @@
+"""Nonlinear simulation: the equations of the loop in scipy's ``solve_ivp``. The only one who integrates.
+
+Without dead time and sampling: one run, LSODA with the exact Jacobian. With dead time: method of steps, segments no longer than
+the shortest dead time. With a sample time: sample by sample, the torque held, the law's own states advanced as the discrete
+model advances them. One-sided surfaces push and never pull; touch and lift are events.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
+
+from mfc_analysis.equations import Equations, Inputs, Wires
+from mfc_analysis.errors import BadArgument, MfcError
+from mfc_analysis.jacobians import closed_matrix
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import value
+from mfc_analysis.operating_point import OperatingPoint
+
+if TYPE_CHECKING:
+    from mfc_analysis.loop import ClosedLoop
+
+Array = NDArray[np.float64]
+Disturbance = Callable[[float], Array]
+
+METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
+FAR = 1e4  #: [rad, m, rad/s, m/s] beyond this position or velocity a run has diverged
+CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost: a grazing touch is not stepped over
+
+
+class Outcome(Enum):
+    """How a run ended."""
+
+    FINISHED = "the run reached its end"
+    DIVERGED = "the motion diverged"
+    REFUSED = "the law could not be evaluated any further"
+    SOLVER = "the solver could not go on"
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A surface touched or left."""
+
+    time: float  #: [s]
+    kind: str  #: "touch" or "lift"
+    surface: int  #: index in the list of environments
+    axis: str  #: direction of its compliance frame
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A nonlinear run: k times."""
+
+    t: Array  #: (k,) [s]
+    x: Array  #: (k, nx) states in the order of ``state_names``
+    q: Array  #: (k, n) [rad, m]
+    v: Array  #: (k, n)
+    tau: Array  #: (k, n) what drives the joints, after dead time, limit and lag [Nm] (velocity laws: the velocity [rad/s])
+    command: Array  #: (k, n) what the law commands
+    error: Array  #: (k, n) e = q_d - q, or (k, 6) X_e for tool laws
+    twist: Array  #: (k, 6) body twist of the tool [m/s, rad/s]
+    force: Array  #: (k, 6) F_tip, tool frame [N, Nm]
+    events: tuple[Event, ...]
+    outcome: Outcome
+    message: str  #: what happened and when, a sentence
+    state_names: tuple[str, ...]
+    path: _Path = field(repr=False)
+
+    @property
+    def diverged(self) -> bool:
+        """True where the run stopped before its end; ``message`` says why and when, the arrays keep what there is."""
+        return self.outcome is not Outcome.FINISHED
+
+    @property
+    def end(self) -> float:
+        """Last time reached [s]."""
+        return float(self.t[-1])
+
+    def state(self, t: ArrayLike) -> Array:
+        """(m, nx) the state at times within the run, from the solver's dense output. Raises BadArgument outside."""
+        times = np.atleast_1d(np.asarray(t, float))
+        if np.any(times < self.t[0] - 1e-12) or np.any(times > self.t[-1] + 1e-12):
+            raise BadArgument("times", t, f"times within the run, {self.t[0]:g} to {self.t[-1]:g} s")
+        return np.stack([self.path.at(float(ti)) for ti in times])
+
+    def operating_point(self, times: Array) -> OperatingPoint:
+        """The run as operating points to linearise along."""
+        return OperatingPoint(times, self.state(times), np.zeros((len(times), self.q.shape[1])))
+
+    def __str__(self) -> str:
+        return f"simulation from {self.t[0]:g} to {self.t[-1]:g} s, {len(self.t)} points, {len(self.events)} contact events: {self.message}"
+
+
+class _Path:
+    """Dense output put together from segments."""
+
+    def __init__(self, t0: float, x0: Array) -> None:
+        self.starts: list[float] = [t0]
+        self.pieces: list[Callable[[float], Array]] = []
+        self.first = x0
+
+    def add(self, end: float, piece: Callable[[float], Array]) -> None:
+        self.pieces.append(piece)
+        self.starts.append(end)
+
+    def at(self, t: float) -> Array:
+        if t <= self.starts[0] or not self.pieces:
+            return self.first
+        i = min(max(int(np.searchsorted(self.starts, t, side="left")) - 1, 0), len(self.pieces) - 1)
+        return np.asarray(self.pieces[i](min(t, self.starts[i + 1])))
+
+
+@dataclass(eq=False)
+class _Run:
+    """One run under way: what the three ways of integrating share."""
+
+    equations: Equations
+    disturbance: Disturbance | None
+    options: dict[str, Any]
+    path: _Path
+    events: list[Event]
+    outcome: Outcome = Outcome.FINISHED
+    message: str = Outcome.FINISHED.value
+    refused: tuple[float, MfcError] | None = None
+    arrived: Callable[[float], Array] | None = None  #: with dead time or sampling: the command that has reached the joints
+
+    def inputs(self, t: float) -> Inputs:
+        return Inputs() if self.disturbance is None else Inputs(disturbance=self.disturbance(t))
+
+    @property
+    def one_sided(self) -> bool:
+        return any(s.one_sided for s in self.equations.surfaces)
+
+    def integrate(self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None) -> Array | None:
+        """From start to end; adds to the path. None where the run has stopped."""
+        options = dict(self.options)
+        if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
+            options["jac"] = jac
+        watched = self._events()
+        if self.one_sided:
+            options["max_step"] = CONTACT_STEP
+
+        def guarded(t: float, x: Array) -> Array:
+            try:
+                return rates(t, x)
+            except MfcError as why:
+                self.refused = (t, why)
+                raise _Stop from why
+
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                found = solve_ivp(guarded, (start, end), x, dense_output=True, events=[f for f, _ in watched], **options)
+        except _Stop:
+            return self._until_refused(guarded, start, x, options)
+        for (_, event), times in zip(watched[1:], found.t_events[1:], strict=True):
+            self.events += [Event(float(t), *event) for t in times]
+        self.path.add(float(found.t[-1]), found.sol)
+        if found.status == 1 or not np.isfinite(found.y).all():
+            self.stop(Outcome.DIVERGED, float(found.t[-1]), f"position or velocity beyond {FAR:g}")
+            return None
+        if found.status < 0:
+            self.stop(Outcome.SOLVER, float(found.t[-1]), str(found.message))
+            return None
+        return np.asarray(found.y[:, -1])
+
+    def _until_refused(self, rates: Callable[[float, Array], Array], start: float, x: Array, options: dict[str, Any]) -> None:
+        assert self.refused is not None
+        t, why = self.refused
+        last = start + 0.999 * (t - start)
+        if last - start > 1e-9:
+            try:
+                found = solve_ivp(rates, (start, last), x, dense_output=True, **{**options, "method": "RK45", "jac": None} if "jac" in options else options)
+                self.path.add(float(found.t[-1]), found.sol)
+            except _Stop:
+                last = start
+        self.stop(Outcome.REFUSED, last, str(why))
+
+    def stop(self, outcome: Outcome, t: float, why: str) -> None:
+        self.outcome, self.message = outcome, f"{outcome.value} at t = {t:.4g} s: {why}"
+
+    def _events(self) -> list[tuple[Any, tuple[str, int, str]]]:
+        e = self.equations
+        watch = np.concatenate([np.arange(where.start, where.stop) for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
+
+        def far(t: float, x: Array) -> float:
+            return FAR - float(np.abs(x[watch]).max())
+
+        far.terminal = True  # type: ignore[attr-defined]
+        out: list[tuple[Any, tuple[str, int, str]]] = [(far, ("far", 0, ""))]
+        for i, surface in enumerate(e.surfaces):
+            if not surface.one_sided:
+                continue
+            for axis, index in zip(surface.axis_names, surface.index, strict=True):
+                for kind, direction in (("touch", 1.0), ("lift", -1.0)):
+
+                    def crossing(t: float, x: Array, i: int = i, index: int = index) -> float:
+                        return float(value(e.touch(e.split(x)).forces[i])[index])
+
+                    crossing.direction = direction  # type: ignore[attr-defined]
+                    out.append((crossing, (kind, i, axis)))
+        return out
+
+
+class _Stop(Exception):
+    """The law refused; unwinds the solver."""
+
+
+def simulate(
+    loop: ClosedLoop, times: float | ArrayLike, x0: Array, disturbance: ArrayLike | Disturbance | None, *, rtol: float, atol: float, method: str
+) -> Simulation:
+    """The run behind ``ClosedLoop.simulate``. Raises BadArgument for bad input, and what the law raises at the start."""
+    asked = _asked_times(times)
+    checks.choice("method", method, METHODS)
+    options = {"rtol": checks.number("rtol", rtol, low=0.0, strict=True), "atol": checks.number("atol", atol, low=0.0, strict=True), "method": method}
+    e = loop.equations
+    run = _Run(e, _disturbance(disturbance, e.n), options, _Path(float(asked[0]), x0), [])
+    e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # an impossible start is an error, not an outcome
+    if len(asked) > 1:
+        if e.hardware.sample_time is not None:
+            from mfc_analysis.sampled_run import run_sampled
+
+            run_sampled(run, asked, x0)
+        elif e.hardware.delay is not None or e.hardware.force_delay is not None:
+            from mfc_analysis.sampled_run import run_with_dead_time
+
+            run_with_dead_time(run, asked, x0)
+        else:
+            _run_continuous(run, asked, x0)
+    return _gathered(run, asked)
+
+
+def _run_continuous(run: _Run, asked: Array, x0: Array) -> None:
+    e, lose = run.equations, run.one_sided
+
+    def rates(t: float, x: Array) -> Array:
+        return value(e.join(e.flow(t, x, None, run.inputs(t), lose_contact=lose).rates))
+
+    def jac(t: float, x: Array) -> Array:
+        return closed_matrix(e, np.array([t]), x[None], lose_contact=lose)[0]
+
+    run.integrate(rates, float(asked[0]), float(asked[-1]), x0, jac)
+
+
+def _gathered(run: _Run, asked: Array) -> Simulation:
+    e = run.equations
+    end = run.path.starts[-1]
+    t = asked[asked <= end + 1e-12]
+    if run.outcome is not Outcome.FINISHED and end > t[-1]:
+        t = np.append(t, end)
+    x = np.stack([run.path.at(float(ti)) for ti in t])
+    kept = np.isfinite(x).all(axis=1)
+    t, x = t[kept], x[kept]
+    disturbance = None if run.disturbance is None else np.stack([run.disturbance(float(ti)) for ti in t])
+    s = e.split(x)
+    flow = e.flow(t, x, None, Inputs(disturbance=disturbance), lose_contact=run.one_sided)
+    command = np.array(np.broadcast_to(value(flow.command), (len(t), e.n)))
+    q = np.array(s["q"])
+    v = np.array(s["v"]) if "v" in s else np.array(np.broadcast_to(value(flow.rates["q"]), q.shape))
+    arrived = command if run.arrived is None else np.stack([run.arrived(float(ti)) for ti in t])
+    tau = np.array(s["lag"]) if "lag" in s else np.array(value(e._limited(arrived)))
+    twist = value(e.plant.jacobian(np.ascontiguousarray(q), v))
+    return Simulation(
+        t, x, q, v, tau, command, np.array(value(flow.error)), twist, np.array(value(flow.F_tip)), tuple(sorted(run.events, key=lambda event: event.time)),
+        run.outcome, run.message, e.state_names, run.path,
+    )  # fmt: skip
+
+
+def start_state(
+    loop: ClosedLoop,
+    t: float,
+    initial_error: ArrayLike,
+    q: ArrayLike | None,
+    v: ArrayLike | None,
+    integral: Any,
+    force_integral: ArrayLike,
+    actuator: ArrayLike | None,
+) -> Array:
+    """(nx,) the state a run starts from: see ``ClosedLoop.simulate``. Raises BadArgument."""
+    e, n = loop.equations, loop.robot.n
+    nominal = loop.nominal([t])
+    slots: dict[str, Array] = {name: np.zeros(where.stop - where.start) for name, (where, _) in e.parts.items()}
+    slots["q"] = checks.array("q", q, (n,)) if q is not None else _displaced(loop, t, nominal.q[0], initial_error)
+    if "v" in slots:
+        slots["v"] = checks.array("v", v, (n,)) if v is not None else nominal.v[0]
+    elif v is not None:
+        raise BadArgument("v", v, f"nothing for {type(loop.law).__name__}: under a velocity law the joint velocity is not a state")
+    if "z" in slots:
+        slots["z"] = _integral(loop, t, integral, slots["z"].size)
+    if "z_f" in slots:
+        slots["z_f"] = np.array(checks.per_joint("force_integral", force_integral, 6))
+    F = value(e.touch(slots).wrench)
+    if "theta" in slots:
+        static = value(e.plant.rnea(slots["q"], slots["v"], nominal.a[0])) + value(e.plant.jacobian_transpose(slots["q"], F))
+        slots["theta"], slots["omega"] = slots["q"] + static / e.hardware.per_joint("joint_stiffness", n), np.array(slots["v"])
+    if "v_filter" in slots:
+        slots["v_filter"] = np.array(slots["omega"] if "omega" in slots and e.hardware.feedback == "motor" else slots["v"])
+    if "F_filter" in slots:
+        slots["F_filter"] = np.array(F)
+    if "lag" in slots:
+        if actuator is None:
+            slots["lag"] = np.array(value(e._limited(e.flow(t, value(e.join(slots))).command)))
+        else:
+            slots["lag"] = checks.array("actuator", actuator, (n,))
+    elif actuator is not None:
+        raise BadArgument("actuator", actuator, "nothing here: the actuators have no lag (Hardware(torque_lag=) or velocity_lag)")
+    return value(e.join(slots))
+
+
+def _integral(loop: ClosedLoop, t: float, integral: Any, size: int) -> Array:
+    from mfc_analysis.operating_point import trimmed
+
+    if isinstance(integral, str):
+        checks.choice("integral", integral, ("trimmed",))
+        where = loop.equations.parts["z"].where
+        return trimmed(loop.equations, np.array([t]), loop.nominal([t])).x[0, where]
+    return np.array(checks.per_joint("integral", integral, size))
+
+
+def _displaced(loop: ClosedLoop, t: float, q_d: Array, initial_error: ArrayLike) -> Array:
+    """The joint position whose error is the one asked for: e = q_d - q, or X_e = log6(X^-1 X_d) for tool laws."""
+    n = loop.robot.n
+    error = checks.array("initial_error", initial_error)
+    tool = loop.law.space == "tool"
+    if not np.any(error):
+        return q_d
+    if tool and error.ndim == 0:
+        error = np.full(6, float(error))
+    if tool and error.shape == (6,):
+        from mfc_analysis.maths.se3 import exp6
+        from mfc_analysis.trajectories.inverse_kinematics import follow
+        from mfc_analysis.trajectories.tool import ToolLine
+
+        ref = loop.equations.reference(t)
+        X_d = ref.X.matrix  # type: ignore[union-attr]
+        line = ToolLine(X_d, X_d @ exp6(-error), 1.0)
+        return np.array(follow(loop.robot, line, q_d, np.array([1.0]))[0][0])
+    if error.ndim == 1 and error.shape != (n,):
+        raise BadArgument("initial_error", f"shape {error.shape}", f"a scalar or shape ({n},)" + (" or X_e of shape (6,)" if tool else ""))
+    if error.ndim > 1:
+        raise BadArgument("initial_error", f"shape {error.shape}", f"a scalar or shape ({n},)")
+    return np.asarray(q_d - error)
+
+
+def _asked_times(times: float | ArrayLike) -> Array:
+    if np.ndim(times) == 0:  # type: ignore[arg-type]
+        duration = checks.number("times", times, low=0.0, strict=True)
+        return np.linspace(0.0, duration, 501)
+    return checks.times(times)
+
+
+def _disturbance(given: ArrayLike | Disturbance | None, n: int) -> Disturbance | None:
+    if given is None:
+        return None
+    if callable(given):
+        function = given
+        checks.per_joint("disturbance", function(0.0), n)
+        return lambda t: np.broadcast_to(np.asarray(function(t), float), (n,))
+    constant = checks.per_joint("disturbance", given, n)
+    return lambda t: constant
