@@ -95,7 +95,7 @@ def check_masses(model: pin.Model) -> None:
             raise BadRobot(f"the body moved by joint {name!r} has a negative mass, {body.mass:g} kg")
     data = model.createData()
     rng = np.random.default_rng(9)
-    best, worst, diagonal = -np.inf, np.inf, np.zeros(model.nv)
+    best, worst, diagonal = -np.inf, np.inf, np.full(model.nv, -np.inf)
     for _ in range(4):  # a regular robot may be singular at one pose, not at four
         M = upper_to_full(pin.crba(model, data, _configuration(model, rng.uniform(-2.0, 2.0, model.nv))))
         diagonal = np.maximum(diagonal, np.diag(M))
@@ -122,14 +122,15 @@ def frame_id(model: pin.Model, name: str) -> int:
     raise UnknownName("tool", name, dict.fromkeys(f.name for f in list(model.frames)[1:]))
 
 
-def default_tool(model: pin.Model) -> str:
+def default_tool(whole: pin.Model, model: pin.Model) -> str:
     """The last link of the chain: the only leaf that every joint moves; ``tool0`` among several.
 
+    The leaves are those of the ``whole`` model, before joints were locked (Pinocchio's reduced model loses track of which frame carries which).
     Raises ``BadArgument`` listing the leaves where that is ambiguous.
     """
-    frames = list(model.frames)
-    carrying = {f.parentFrame for i, f in enumerate(frames) if f.parentFrame != i}
-    leaves = [f for i, f in enumerate(frames) if i > 0 and f.type == pin.FrameType.BODY and i not in carrying and f.parentJoint > 0]
+    carrying = {f.parentFrame for i, f in enumerate(whole.frames) if f.parentFrame != i}
+    last = {f.name for i, f in enumerate(whole.frames) if i > 0 and f.type == pin.FrameType.BODY and i not in carrying}
+    leaves = [f for f in model.frames if f.type == pin.FrameType.BODY and f.name in last and f.parentJoint > 0]
     depth = {f.name: len(model.supports[f.parentJoint]) - 1 for f in leaves}
     full = [f.name for f in leaves if depth[f.name] == model.njoints - 1]
     if len(full) == 1:
@@ -160,6 +161,13 @@ def joint_order(model: pin.Model, joints: Sequence[str] | None) -> NDArray[np.in
     order = np.array([index[name] for name in joints], dtype=np.intp)
     order.setflags(write=False)
     return order
+
+
+def body(mass: float, com: Array, inertia: Array) -> pin.Inertia:
+    """Pinocchio's inertia of a body, inertia about the com; its constructor would refuse a smallest eigenvalue of -1e-18, which is rounding."""
+    out = pin.Inertia.Zero()
+    out.mass, out.lever, out.inertia = mass, np.array(com, float), np.array(inertia, float)
+    return out
 
 
 def upper_to_full(M: Array) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument, MfcError, MfcWarning, UnknownName
 from mfc_analysis.maths import checks
+from mfc_analysis.robots import build
 from mfc_analysis.robots.build import Locked
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.robots.urdf import moving_joints, read_urdf
@@ -43,8 +44,11 @@ def single_joint(inertia: float = 0.5, mass: float = 1.0, com_distance: float = 
     if about_com < 0:
         text = f"inertia={inertia:g} kg m^2 about the axis is less than mass com_distance^2 = {mass * r * r:g}: no body has that"
         warnings.warn(text, MfcWarning, stacklevel=2)
+        link = _flat((mass * r) ** 2 / inertia, (inertia / (mass * r), 0, 0), 0.0)  # a point mass with this inertia and this weight's moment
+    else:
+        link = _flat(mass, (r, 0, 0), about_com)
     model = _planar("single_joint", gravity)
-    _add(model, 0, "joint", pin.JointModelRZ(), (0, 0, 0), _flat(mass, (r, 0, 0), about_com))
+    _add(model, 0, "joint", pin.JointModelRZ(), (0, 0, 0), link)
     _tool(model, (2 * r, 0, 0))
     return Robot.from_pinocchio(model, tool="tool").with_friction(viscous=damping)
 
@@ -57,7 +61,7 @@ def slider(mass: float = 1.0, friction: float = 0.0) -> Robot:
     """
     mass = checks.number("mass", mass, low=0.0, strict=True)
     model = _planar("slider", 0.0)
-    _add(model, 0, "slide", pin.JointModelPZ(), (0, 0, 0), pin.Inertia(mass, np.zeros(3), np.zeros((3, 3))))
+    _add(model, 0, "slide", pin.JointModelPZ(), (0, 0, 0), _flat(mass, (0, 0, 0), 0.0))
     _tool(model, (0, 0, 0))
     return Robot.from_pinocchio(model, tool="tool").with_friction(viscous=checks.number("friction", friction, low=0.0))
 
@@ -297,7 +301,7 @@ def _planar(name: str, gravity: float) -> pin.Model:
 
 
 def _flat(mass: float, com: tuple[float, float, float], inertia: float) -> pin.Inertia:
-    return pin.Inertia(float(mass), np.array(com, float), np.diag([0.0, 0.0, float(inertia)]))
+    return build.body(float(mass), np.array(com, float), np.diag([0.0, 0.0, float(inertia)]))
 
 
 def _add(model: pin.Model, parent: int, name: str, joint: pin.JointModel, at: tuple[float, float, float], body: pin.Inertia) -> int:

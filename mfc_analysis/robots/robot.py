@@ -132,13 +132,13 @@ class Robot:
     ) -> Robot:
         checks.choice("friction", friction, ("urdf", "none"))
         gravity = checks.array("gravity", gravity, (3,))
-        model = build.lock(model, locked)
+        whole, model = model, build.lock(model, locked)
         model.gravity = pin.Motion(np.array(gravity), np.zeros(3))
         build.check_joints(model, mimic)
         order = build.joint_order(model, joints)
         if tool is not None and not isinstance(tool, str):
             raise BadArgument("tool", tool, "the name of a link or frame")
-        tool = build.default_tool(model) if tool is None else tool
+        tool = build.default_tool(whole, model) if tool is None else tool
         fid = build.frame_id(model, tool)
         if model.frames[fid].parentJoint == 0:
             raise BadArgument("tool", tool, "a link that some joint moves")
@@ -212,7 +212,7 @@ class Robot:
         I = _rotational_inertia(inertia)
         frame = self.model.frames[self.frame_id]
         model = pin.Model(self.model)
-        model.inertias[frame.parentJoint] += frame.placement.act(pin.Inertia(mass, np.array(com), np.array(I)))
+        model.inertias[frame.parentJoint] += frame.placement.act(build.body(mass, com, I))
         return replace(self, model=model, payloads=(*self.payloads, Payload(mass, com, I)))
 
     def with_friction(self, viscous: ArrayLike | None = None, coulomb: ArrayLike = 0.0, coulomb_speed: float = COULOMB_SPEED) -> Robot:
@@ -243,8 +243,8 @@ class Robot:
         """The robot with every mass and inertia multiplied by ``factor`` > 0, armature included: M, h and g scale by it exactly."""
         factor = checks.number("factor", factor, low=0.0, strict=True)
         model = pin.Model(self.model)
-        for i, body in enumerate(list(model.inertias)):
-            model.inertias[i] = pin.Inertia(factor * body.mass, np.array(body.lever), factor * np.array(body.inertia))
+        for i, part in enumerate(list(model.inertias)):
+            model.inertias[i] = build.body(factor * part.mass, part.lever, factor * part.inertia)
         model.armature = factor * np.array(model.armature)
         return replace(self, model=model, payloads=tuple(Payload(factor * p.mass, p.com, factor * p.inertia) for p in self.payloads))
 
