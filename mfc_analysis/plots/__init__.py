@@ -13,6 +13,22 @@ from mfc_analysis.plots.runs import Panel, curves, traces
 from mfc_analysis.plots.steps import step
 
 __all__ = [
-    "Panel", "arm", "axes_for", "block", "bode", "curves", "disk", "drawn", "margin_history", "margins", "multipliers", "nyquist", "panels_for", "poles",
-    "stability_map", "step", "svg", "traces",
+    "Panel",
+    "arm",
+    "axes_for",
+    "block",
+    "bode",
+    "curves",
+    "disk",
+    "drawn",
+    "margin_history",
+    "margins",
+    "multipliers",
+    "nyquist",
+    "panels_for",
+    "poles",
+    "stability_map",
+    "step",
+    "svg",
+    "traces",
 ]

@@ -14,8 +14,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def arm(origins: ArrayLike, *, worst: int | None = None, worst_time: float | None = None, view: str = "widest", title: str = "Poses along the path",
-        ax: Axes | None = None) -> Axes:
+def arm(
+    origins: ArrayLike,
+    *,
+    worst: int | None = None,
+    worst_time: float | None = None,
+    view: str = "widest",
+    title: str = "Poses along the path",
+    ax: Axes | None = None,
+) -> Axes:
     """Sticks through the joint origins at up to seven poses; the worst one in colour; the tool's path dotted.
 
     Args:

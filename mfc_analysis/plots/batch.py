@@ -15,7 +15,7 @@ from typing import Any
 
 from mfc_analysis.plots import figure as sheet
 
-MANY = 20      #: up to so many figures one process is faster: starting another takes 0.6 s
+MANY = 20  #: up to so many figures one process is faster: starting another takes 0.6 s
 
 
 def drawn(recipes: Sequence[Any], *, progress: Callable[[int], None] | None = None) -> list[str]:
@@ -56,8 +56,13 @@ def _sent(recipes: Sequence[Any]) -> tuple[subprocess.Popen[bytes], frozenset[in
     paths = os.pathsep.join(p for p in sys.path if p)
     environment = os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     try:
-        process = subprocess.Popen([sys.executable, "-m", "mfc_analysis.plots.worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-                                   env=environment)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "mfc_analysis.plots.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
         assert process.stdin is not None
         pickle.dump(parcels, process.stdin)
         process.stdin.close()

@@ -11,11 +11,19 @@ from mfc_analysis.plots import figure as sheet
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_TOP, _BOTTOM, _BOX = 1.12, 0.38, 0.52      # [inch] heights of the forward wire and of the way back, and a box's height
+_TOP, _BOTTOM, _BOX = 1.12, 0.38, 0.52  # [inch] heights of the forward wire and of the way back, and a box's height
 
 
-def block(chain: Sequence[tuple[str, str]], *, reference: str = "reference", output: str = "q, v", back: str = "", at: str = "", inputs: Sequence[tuple[int, str]] = (),
-          ax: Axes | None = None) -> Axes:
+def block(
+    chain: Sequence[tuple[str, str]],
+    *,
+    reference: str = "reference",
+    output: str = "q, v",
+    back: str = "",
+    at: str = "",
+    inputs: Sequence[tuple[int, str]] = (),
+    ax: Axes | None = None,
+) -> Axes:
     """A loop: reference, sum, the boxes of ``chain`` from left to right, and the way back.
 
     Args:

@@ -26,8 +26,14 @@ def multipliers(values: ArrayLike, *, title: str = "Floquet multipliers", ax: Ax
     if found.size:
         top = found[int(np.argmax(np.abs(found)))]
         angle = np.degrees(np.angle(top))
-        sheet.note(ax, f"largest {sheet.written(abs(top), 4)} at {sheet.written(abs(angle))}°", (0.02, 0.98), color=sheet.INK if inside.all() else sheet.BAD, va="top",
-                   inside=True)
+        sheet.note(
+            ax,
+            f"largest {sheet.written(abs(top), 4)} at {sheet.written(abs(angle))}°",
+            (0.02, 0.98),
+            color=sheet.INK if inside.all() else sheet.BAD,
+            va="top",
+            inside=True,
+        )
     ax.set_aspect("equal")
     ax.set_xlim(-reach, reach)
     ax.set_ylim(-reach, reach * 1.0)
@@ -35,7 +41,15 @@ def multipliers(values: ArrayLike, *, title: str = "Floquet multipliers", ax: Ax
     return ax
 
 
-def disk(gain: tuple[float, float], phase_deg: float, *, alpha: float, index: int = 0, title: str = "Gain and phase allowed at once", ax: Axes | None = None) -> Axes:
+def disk(
+    gain: tuple[float, float],
+    phase_deg: float,
+    *,
+    alpha: float,
+    index: int = 0,
+    title: str = "Gain and phase allowed at once",
+    ax: Axes | None = None,
+) -> Axes:
     """The disc of complex factors that every loop may be multiplied by at once.
 
     Args:
@@ -56,7 +70,8 @@ def disk(gain: tuple[float, float], phase_deg: float, *, alpha: float, index: in
         angle = np.radians(phase_deg) * side
         ax.plot([0, np.cos(angle)], [0, np.sin(angle)], color=sheet.LIMIT, linewidth=1.0)
     ax.plot([1], [0], marker="+", markersize=8, markeredgewidth=1.4, color=sheet.INK)
-    words = f"α = {sheet.written(alpha)}: gain {sheet.written(low)} to {'any' if not np.isfinite(high) else sheet.written(high)}, ±{sheet.written(phase_deg)}°"
+    upper = sheet.written(high) if np.isfinite(high) else "any"
+    words = f"α = {sheet.written(alpha)}: gain {sheet.written(low)} to {upper}, ±{sheet.written(phase_deg)}°"
     sheet.note(ax, words, (0.02, 0.98), va="top", inside=True)
     half = (right + 0.6) / 2
     ax.set_aspect("equal")

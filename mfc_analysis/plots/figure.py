@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-JOINTS = ("#0072b2", "#c44e00", "#00795a", "#9b3f84", "#7a6200", "#5a4fcf", "#a8324a", "#3b6470")     #: a joint's colour, on every page
-LIMIT = "#b45309"        #: what was asked
+JOINTS = ("#0072b2", "#c44e00", "#00795a", "#9b3f84", "#7a6200", "#5a4fcf", "#a8324a", "#3b6470")  #: a joint's colour, on every page
+LIMIT = "#b45309"  #: what was asked
 GOOD, BAD = "#00795a", "#b3261e"
 GREY, GRID, SHADE = "#6b7280", "#d5d9de", "#fbeee4"
 INK = "#000000"
 
-_SMALL, _TEXT = 7.5, 8.0      # [pt]
+_SMALL, _TEXT = 7.5, 8.0  # [pt]
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,9 @@ class Sheet:
     panels: tuple[tuple[float, float, float, float], ...]
 
 
-def _stack(width: float, count: int, each: float, *, left: float = 0.62, right: float = 0.12, bottom: float = 0.44, top: float = 0.26, gap: float = 0.2) -> Sheet:
+def _stack(
+    width: float, count: int, each: float, *, left: float = 0.62, right: float = 0.12, bottom: float = 0.44, top: float = 0.26, gap: float = 0.2
+) -> Sheet:
     height = bottom + top + count * each + (count - 1) * gap
     panels = tuple((left, bottom + (count - 1 - i) * (each + gap), width - left - right, each) for i in range(count))
     return Sheet((width, height), panels)
@@ -56,7 +58,7 @@ SHEETS: dict[str, Sheet] = {
     "block": Sheet((6.5, 1.9), ((0.0, 0.0, 6.5, 1.9),)),
 }
 
-_SAVING = threading.Lock()     # matplotlib reads its SVG settings from one global table while it writes
+_SAVING = threading.Lock()  # matplotlib reads its SVG settings from one global table while it writes
 
 
 def colour(index: int) -> str:
@@ -114,8 +116,18 @@ def hide_times(axes: Sequence[Axes]) -> None:
         ax.tick_params(labelbottom=False)
 
 
-def note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK, ha: str = "left", va: str = "center", inside: bool = False,
-         mixed: bool = False, shift: tuple[float, float] = (0.0, 0.0)) -> None:
+def note(
+    ax: Axes,
+    text: str,
+    at: tuple[float, float],
+    *,
+    color: str = INK,
+    ha: str = "left",
+    va: str = "center",
+    inside: bool = False,
+    mixed: bool = False,
+    shift: tuple[float, float] = (0.0, 0.0),
+) -> None:
     """A remark at a point of the data (``inside``: of the axes, 0 to 1; ``mixed``: x of the data, y of the axes), moved by ``shift`` [pt]."""
     where = ax.transAxes if inside else ax.get_xaxis_transform() if mixed else ax.transData
     ax.annotate(text, at, xycoords=where, xytext=shift, textcoords="offset points", fontsize=_SMALL, color=color, ha=ha, va=va, annotation_clip=False)
@@ -128,7 +140,7 @@ def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = Fal
         return
     place: dict[str, Any] = {"loc": where}
     if above:
-        labels, columns = fitting(labels, ax.get_figure().get_figwidth() - 0.3), len(labels)
+        labels, columns = fitting(labels, float(figure_of(ax).get_figwidth()) - 0.3), len(labels)
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
     found = ax.legend(handles, labels, ncols=columns, fontsize=_SMALL, frameon=False, handlelength=1.4, columnspacing=0.9, handletextpad=0.4, **place)
     found.set_in_layout(False)
@@ -207,8 +219,14 @@ def settings() -> dict[str, Any]:
     import matplotlib
 
     rc = {k: v for k, v in matplotlib.rcParamsDefault.items() if not k.startswith(("backend", "webagg", "tk.", "macosx", "date."))}
-    rc |= {"svg.fonttype": "none", "svg.hashsalt": "mfc-analysis", "font.family": ["DejaVu Sans"], "path.simplify": True, "path.simplify_threshold": 0.3,
-           "axes.unicode_minus": True}
+    rc |= {
+        "svg.fonttype": "none",
+        "svg.hashsalt": "mfc-analysis",
+        "font.family": ["DejaVu Sans"],
+        "path.simplify": True,
+        "path.simplify_threshold": 0.3,
+        "axes.unicode_minus": True,
+    }
     return rc
 
 

@@ -23,21 +23,31 @@ def phase_deg(L: ArrayLike, frequencies: ArrayLike, crossover: float = np.nan) -
         at = float(np.interp(np.log(crossover), np.log(w), out))
     else:
         at = float(out[np.argmin(np.abs(np.log(np.maximum(np.abs(values), 1e-300))))])
-    return out - 360.0 * np.round((at + 180.0) / 360.0)
+    out -= 360.0 * np.round((at + 180.0) / 360.0)
+    return out
 
 
 def bode(
-    frequencies: ArrayLike, L: ArrayLike, *, crossover: float = np.nan, phase_margin: float = np.nan, gain_increase: float = np.inf,
-    gain_reduction: float = 0.0, index: int = 0, title: str = "Open loop L(jω)", axes: tuple[Axes, Axes] | None = None,
+    frequencies: ArrayLike,
+    L: ArrayLike,
+    *,
+    crossover: float = np.nan,
+    phase_margin: float = np.nan,
+    gain_increase: float = np.inf,
+    gain_reduction: float = 0.0,
+    index: int = 0,
+    title: str = "Open loop L(jω)",
+    axes: tuple[Axes, Axes] | None = None,
 ) -> tuple[Axes, Axes]:
     """Magnitude and phase of L over frequency [rad/s], the phase margin at its crossover and both gain margins drawn on the curve.
 
     Args:
-        frequencies: (nf,) [rad/s]; L: (nf,) complex. crossover [rad/s], phase_margin [deg], gain_increase and gain_reduction (factors): as in ``Margins``.
+        frequencies: (nf,) [rad/s]; L: (nf,) complex.
+        crossover [rad/s], phase_margin [deg], gain_increase and gain_reduction (factors): as in ``Margins``.
         index: the joint, for its colour.
     """
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)
-    upper, lower = axes if axes is not None else sheet.panels_for("bode")  # type: ignore[misc]
+    upper, lower = axes if axes is not None else sheet.panels_for("bode")
     gain = 20 * np.log10(np.maximum(np.abs(values), 1e-12))
     phase = phase_deg(values, w, crossover)
     for ax, line in ((upper, gain), (lower, phase)):
@@ -69,7 +79,9 @@ def _phase_arrow(upper: Axes, lower: Axes, w: Array, phase: Array, crossover: fl
     at = float(np.interp(np.log(crossover), np.log(w), phase))
     for ax in (upper, lower):
         ax.axvline(crossover, color=sheet.GOOD, linewidth=0.8, linestyle="--")
-    lower.annotate("", (crossover, at), (crossover, -180), arrowprops={"arrowstyle": "<->", "color": sheet.GOOD, "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
+    lower.annotate(
+        "", (crossover, at), (crossover, -180), arrowprops={"arrowstyle": "<->", "color": sheet.GOOD, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
+    )
     below = at > -180
     _beside(lower, w, f"PM {sheet.written(margin)}°", crossover, -180, sheet.GOOD, (0, -7 if below else 7))
 
@@ -107,10 +119,22 @@ def _crossing(w: Array, values: NDArray[np.complex128], factor: float) -> float 
 
 
 def nyquist(
-    frequencies: ArrayLike, L: ArrayLike, *, sensitivity_peak: float = np.nan, phase_margin: float = np.nan, crossover: float = np.nan,
-    gain_increase: float = np.inf, gain_reduction: float = 0.0, index: int = 0, title: str = "Nyquist", ax: Axes | None = None,
+    frequencies: ArrayLike,
+    L: ArrayLike,
+    *,
+    sensitivity_peak: float = np.nan,
+    phase_margin: float = np.nan,
+    crossover: float = np.nan,
+    gain_increase: float = np.inf,
+    gain_reduction: float = 0.0,
+    index: int = 0,
+    title: str = "Nyquist",
+    ax: Axes | None = None,
 ) -> Axes:
-    """L in the complex plane for positive (solid) and negative (dashed) frequencies, the unit circle, and the disc of radius 1/Ms about -1 that it never enters."""
+    """L in the complex plane for positive (solid) and negative (dashed) frequencies, the unit circle, and the disc of radius 1/Ms about -1.
+
+    L never enters that disc. Keywords as for ``bode``.
+    """
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)
     ax = ax if ax is not None else sheet.axes_for("nyquist")
     turn = np.linspace(0, 2 * np.pi, 181)
@@ -124,7 +148,8 @@ def nyquist(
     ax.set_aspect("equal")
     ax.set_ylim(-half, half)
     box = ax.get_position(original=True)
-    ratio = box.width * ax.figure.get_figwidth() / (box.height * ax.figure.get_figheight())
+    whole = sheet.figure_of(ax)
+    ratio = box.width * whole.get_figwidth() / (box.height * whole.get_figheight())
     ax.set_xlim(-0.8 - half * ratio, -0.8 + half * ratio)
     ax.axhline(0, color=sheet.GRID, linewidth=0.8)
     if np.isfinite(sensitivity_peak) and sensitivity_peak > 0:
@@ -146,6 +171,8 @@ def nyquist(
 def of_channel(found: Any, row: int, channel: int) -> dict[str, float]:
     """The keywords of ``bode`` from a ``Margins`` at one time and channel."""
     return {
-        "crossover": float(found.crossover[row, channel]), "phase_margin": float(found.phase_deg[row, channel]),
-        "gain_increase": float(found.gain_increase[row, channel]), "gain_reduction": float(found.gain_reduction[row, channel]),
+        "crossover": float(found.crossover[row, channel]),
+        "phase_margin": float(found.phase_deg[row, channel]),
+        "gain_increase": float(found.gain_increase[row, channel]),
+        "gain_reduction": float(found.gain_reduction[row, channel]),
     }

@@ -18,13 +18,22 @@ _STABLE, _UNSTABLE = "#cfe8dc", "#f6d5d1"
 
 
 def stability_map(
-    x: ArrayLike, y: ArrayLike, growth: ArrayLike, *, xlabel: str, ylabel: str, log: str = "xy", points: Sequence[tuple[float, float, bool]] = (),
-    title: str = "", ax: Axes | None = None,
+    x: ArrayLike,
+    y: ArrayLike,
+    growth: ArrayLike,
+    *,
+    xlabel: str,
+    ylabel: str,
+    log: str = "xy",
+    points: Sequence[tuple[float, float, bool]] = (),
+    title: str = "",
+    ax: Axes | None = None,
 ) -> Axes:
     """Where a loop is stable over two parameters.
 
     Args:
-        x: (nx,), y: (ny,). growth: (ny, nx), negative where stable (e.g. the largest real part of the poles); its zero is the boundary; NaN counts as unstable.
+        x: (nx,), y: (ny,). growth: (ny, nx), negative where stable (e.g. the largest real part of the poles); its zero is the boundary,
+            NaN counts as unstable.
         log: axes that are logarithmic: "x", "y", "xy" or "". points: (x, y, stable) of simulated runs, marked on top.
 
     Raises:

@@ -17,8 +17,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _NAMES = {
-    "phase_deg": "phase margin [deg]", "gain_increase_db": "gain increase [dB]", "gain_reduction_db": "gain reduction [dB]",
-    "delay": "delay margin [ms]", "sensitivity_peak": "sensitivity peak [-]",
+    "phase_deg": "phase margin [deg]",
+    "gain_increase_db": "gain increase [dB]",
+    "gain_reduction_db": "gain reduction [dB]",
+    "delay": "delay margin [ms]",
+    "sensitivity_peak": "sensitivity peak [-]",
 }
 _TIGHTEST = {"sensitivity_peak": "high"}
 
@@ -39,7 +42,8 @@ def margins(found: Any, *, figure: str = "phase_deg", asked: float | None = None
     """One figure of a ``Margins`` against time, a line per channel, the worst one marked.
 
     Args:
-        found: ``times`` (m,) [s], ``channels`` (n,), ``stable`` (m,), and the figure (m, n); NaN where unstable, inf where nothing limits (not drawn, said).
+        found: ``times`` (m,) [s], ``channels`` (n,), ``stable`` (m,), and the figure (m, n); NaN where unstable, inf where nothing
+            limits (not drawn, said).
         figure: "phase_deg", "gain_increase_db", "gain_reduction_db", "delay" (drawn in ms, ``asked`` in s) or "sensitivity_peak".
     """
     alone = ax is None
@@ -71,8 +75,13 @@ def margins(found: Any, *, figure: str = "phase_deg", asked: float | None = None
     return ax
 
 
-def margin_history(found: Any, asked: Mapping[str, float] | None = None, *, figures: tuple[str, ...] = ("phase_deg", "gain_increase_db", "delay", "sensitivity_peak"),
-                   title: str = "") -> tuple[Axes, ...]:
+def margin_history(
+    found: Any,
+    asked: Mapping[str, float] | None = None,
+    *,
+    figures: tuple[str, ...] = ("phase_deg", "gain_increase_db", "delay", "sensitivity_peak"),
+    title: str = "",
+) -> tuple[Axes, ...]:
     """Several figures of a ``Margins`` above one another, with the limits of ``asked`` (by the names of ``Requirements``)."""
     kinds = {1: "time history", 2: "two histories", 3: "three histories", 4: "four histories"}
     if len(figures) not in kinds:
@@ -80,7 +89,9 @@ def margin_history(found: Any, asked: Mapping[str, float] | None = None, *, figu
     axes = sheet.panels_for(kinds[len(figures)])
     for ax, figure in zip(axes, figures, strict=True):
         margins(found, figure=figure, asked=(asked or {}).get(figure), ax=ax)
-        ax.set_ylabel(_NAMES[figure].replace(" margin", "").replace("sensitivity peak [-]", "Ms [-]").replace(" increase", " up").replace(" reduction", " down"))
+        ax.set_ylabel(
+            _NAMES[figure].replace(" margin", "").replace("sensitivity peak [-]", "Ms [-]").replace(" increase", " up").replace(" reduction", " down")
+        )
         ax.set_xlabel("")
     sheet.hide_times(axes)
     sheet.label(axes[-1], "t [s]")
@@ -108,4 +119,6 @@ def _worst(ax: Axes, times: Array, values: Array, high: bool) -> None:
     ax.plot([times[i]], [values[i, j]], marker="o", markersize=5, markerfacecolor="none", markeredgecolor=sheet.BAD, markeredgewidth=1.2)
     span = times[-1] - times[0]
     right = span > 0 and (times[i] - times[0]) > 0.8 * span
-    sheet.note(ax, sheet.written(values[i, j]), (times[i], values[i, j]), color=sheet.BAD, ha="right" if right else "left", shift=(-5 if right else 5, 4))
+    sheet.note(
+        ax, sheet.written(values[i, j]), (times[i], values[i, j]), color=sheet.BAD, ha="right" if right else "left", shift=(-5 if right else 5, 4)
+    )

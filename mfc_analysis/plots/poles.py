@@ -13,8 +13,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def poles(values: ArrayLike, *, damping: float | None = None, path: ArrayLike | None = None, discrete: bool = False, index: int = 0,
-          title: str = "Closed-loop poles", ax: Axes | None = None) -> Axes:
+def poles(
+    values: ArrayLike,
+    *,
+    damping: float | None = None,
+    path: ArrayLike | None = None,
+    discrete: bool = False,
+    index: int = 0,
+    title: str = "Closed-loop poles",
+    ax: Axes | None = None,
+) -> Axes:
     """Poles in the complex plane.
 
     Args:
@@ -60,7 +68,13 @@ def _half_plane(ax: Axes, s: np.ndarray, damping: float | None) -> None:
     rays = [(0.3, ":"), (0.7, ":")] if damping is None else [(damping, "--")]
     for ratio, style in rays:
         for side in (1, -1):
-            ax.plot(-r * ratio, side * r * np.sqrt(1 - min(ratio, 1.0) ** 2), color=sheet.LIMIT if damping is not None else sheet.GREY, linewidth=0.7, linestyle=style)
+            ax.plot(
+                -r * ratio,
+                side * r * np.sqrt(1 - min(ratio, 1.0) ** 2),
+                color=sheet.LIMIT if damping is not None else sheet.GREY,
+                linewidth=0.7,
+                linestyle=style,
+            )
     _thin(ax)
 
 

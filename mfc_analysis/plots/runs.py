@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,15 +22,23 @@ _KINDS = ("time history", "two histories", "three histories", "four histories")
 class Panel:
     """One panel: what and its unit, values (m,) or (m, n), and a limit or a dashed comparison of the same shape, if any."""
 
-    quantity: str                          #: "error [rad]"
+    quantity: str  #: "error [rad]"
     values: ArrayLike
-    limit: float | None = None             #: drawn at both signs unless all values are of one sign
-    beside: ArrayLike | None = None        #: another run of the same quantity, dashed in the same colours
+    limit: float | None = None  #: drawn at both signs unless all values are of one sign
+    beside: ArrayLike | None = None  #: another run of the same quantity, dashed in the same colours
     log: bool = False
 
 
-def traces(t: ArrayLike, panels: Sequence[Panel], names: Sequence[str] = (), *, events: Sequence[tuple[float, str]] = (), title: str = "",
-           said: tuple[str, str] | None = None, first: int = 0) -> tuple[Axes, ...]:
+def traces(
+    t: ArrayLike,
+    panels: Sequence[Panel],
+    names: Sequence[str] = (),
+    *,
+    events: Sequence[tuple[float, str]] = (),
+    title: str = "",
+    said: tuple[str, str] | None = None,
+    first: int = 0,
+) -> tuple[Axes, ...]:
     """One to four panels above one another over time.
 
     Args:
@@ -52,7 +60,15 @@ def traces(t: ArrayLike, panels: Sequence[Panel], names: Sequence[str] = (), *, 
             ax.set_xlim(time[0], time[-1])
     for k, (when, word) in enumerate(events[:6]):
         right = (when - time[0]) > 0.75 * (time[-1] - time[0])
-        sheet.note(axes[-1], word, (when, 0.92 - 0.14 * (k % 3)), color=sheet.GREY, ha="right" if right else "left", shift=(-3 if right else 3, 0), mixed=True)
+        sheet.note(
+            axes[-1],
+            word,
+            (when, 0.92 - 0.14 * (k % 3)),
+            color=sheet.GREY,
+            ha="right" if right else "left",
+            shift=(-3 if right else 3, 0),
+            mixed=True,
+        )
     sheet.hide_times(axes)
     sheet.label(axes[-1], "t [s]")
     sheet.label(axes[0], title=title)
@@ -67,8 +83,7 @@ def _draw(ax: Axes, time: np.ndarray, panel: Panel, names: Sequence[str], first:
     values = np.asarray(panel.values, float)
     values = values[:, None] if values.ndim == 1 else values
     for j in range(values.shape[1]):
-        name = {"label": str(names[j])} if j < len(names) else {}
-        ax.plot(time, values[:, j], color=sheet.colour(first + j), linewidth=1.2, **name)
+        ax.plot(time, values[:, j], color=sheet.colour(first + j), linewidth=1.2, label=str(names[j]) if j < len(names) else "_")
     if panel.beside is not None:
         other = np.asarray(panel.beside, float)
         other = other[:, None] if other.ndim == 1 else other
@@ -83,14 +98,23 @@ def _draw(ax: Axes, time: np.ndarray, panel: Panel, names: Sequence[str], first:
     sheet.label(ax, "", panel.quantity)
 
 
-def _none() -> object:
+def _none() -> Any:
     from matplotlib.ticker import NullLocator
 
     return NullLocator()
 
 
-def curves(x: ArrayLike, series: Sequence[tuple[str, ArrayLike]], *, xlabel: str, ylabel: str, log: str = "", limit: float | None = None, title: str = "",
-           ax: Axes | None = None) -> Axes:
+def curves(
+    x: ArrayLike,
+    series: Sequence[tuple[str, ArrayLike]],
+    *,
+    xlabel: str,
+    ylabel: str,
+    log: str = "",
+    limit: float | None = None,
+    title: str = "",
+    ax: Axes | None = None,
+) -> Axes:
     """Curves of one quantity over a parameter, e.g. a margin over stiffness. ``log``: "x", "y" or "xy"."""
     ax = ax if ax is not None else sheet.axes_for("map")
     at = np.asarray(x, float)

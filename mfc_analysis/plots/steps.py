@@ -14,14 +14,24 @@ if TYPE_CHECKING:
 
 
 def step(
-    t: ArrayLike, y: ArrayLike, *, nonlinear: tuple[ArrayLike, ArrayLike] | None = None, torque: tuple[ArrayLike, ArrayLike] | None = None,
-    torque_limit: float | None = None, target: float | None = None, band: float | None = None, index: int = 0,
-    quantity: str = "q [rad]", title: str = "Step response", axes: tuple[Axes, ...] | None = None,
+    t: ArrayLike,
+    y: ArrayLike,
+    *,
+    nonlinear: tuple[ArrayLike, ArrayLike] | None = None,
+    torque: tuple[ArrayLike, ArrayLike] | None = None,
+    torque_limit: float | None = None,
+    target: float | None = None,
+    band: float | None = None,
+    index: int = 0,
+    quantity: str = "q [rad]",
+    title: str = "Step response",
+    axes: tuple[Axes, ...] | None = None,
 ) -> tuple[Axes, ...]:
     """A step response and, below, its torque.
 
     Args:
-        t: (m,) [s], y: (m,) of the linear model. nonlinear: (t, y) of the simulated run. torque: (t, tau) [Nm], of the nonlinear run where there is one.
+        t: (m,) [s], y: (m,) of the linear model. nonlinear: (t, y) of the simulated run. torque: (t, tau) [Nm], of the
+            nonlinear run where there is one.
         target: where it should end; band: half width of the settling band, in the unit of y.
     """
     upper, lower = axes if axes is not None else sheet.panels_for("step")
@@ -32,9 +42,16 @@ def step(
             upper.axhspan(target - band, target + band, color=sheet.GRID, alpha=0.5, linewidth=0, zorder=0.3)
     upper.plot(time, np.asarray(y, float), color=sheet.colour(index), linewidth=1.4, label="linear")
     if nonlinear is not None:
-        upper.plot(np.asarray(nonlinear[0], float), np.asarray(nonlinear[1], float), color=sheet.LIMIT, linewidth=1.2, linestyle="--", label="nonlinear")
+        upper.plot(
+            np.asarray(nonlinear[0], float), np.asarray(nonlinear[1], float), color=sheet.LIMIT, linewidth=1.2, linestyle="--", label="nonlinear"
+        )
     if torque is not None:
-        lower.plot(np.asarray(torque[0], float), np.asarray(torque[1], float), color=sheet.LIMIT if nonlinear is not None else sheet.colour(index), linewidth=1.2)
+        lower.plot(
+            np.asarray(torque[0], float),
+            np.asarray(torque[1], float),
+            color=sheet.LIMIT if nonlinear is not None else sheet.colour(index),
+            linewidth=1.2,
+        )
     else:
         sheet.empty(lower, "torque not recorded", sheet.GREY)
     if torque_limit is not None and np.isfinite(torque_limit):

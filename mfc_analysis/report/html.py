@@ -19,9 +19,22 @@ _DROPPED = frozenset(("metadata", "title", "desc", "script", "foreignObject"))
 
 #: colours of the figures -> custom properties of the style sheet, which has another value of each for dark pages
 COLOURS = {
-    "#000000": "currentColor", "#0072b2": "var(--j0)", "#c44e00": "var(--j1)", "#00795a": "var(--j2)", "#9b3f84": "var(--j3)", "#7a6200": "var(--j4)",
-    "#5a4fcf": "var(--j5)", "#a8324a": "var(--j6)", "#3b6470": "var(--j7)", "#b45309": "var(--limit)", "#b3261e": "var(--bad)", "#6b7280": "var(--grey)",
-    "#d5d9de": "var(--grid)", "#fbeee4": "var(--shade)", "#cfe8dc": "var(--fill-good)", "#f6d5d1": "var(--fill-bad)",
+    "#000000": "currentColor",
+    "#0072b2": "var(--j0)",
+    "#c44e00": "var(--j1)",
+    "#00795a": "var(--j2)",
+    "#9b3f84": "var(--j3)",
+    "#7a6200": "var(--j4)",
+    "#5a4fcf": "var(--j5)",
+    "#a8324a": "var(--j6)",
+    "#3b6470": "var(--j7)",
+    "#b45309": "var(--limit)",
+    "#b3261e": "var(--bad)",
+    "#6b7280": "var(--grey)",
+    "#d5d9de": "var(--grid)",
+    "#fbeee4": "var(--shade)",
+    "#cfe8dc": "var(--fill-good)",
+    "#f6d5d1": "var(--fill-bad)",
 }
 
 
@@ -38,13 +51,23 @@ def html(tree: Tree, drawings: Mapping[str, str], formulas: Mapping[str, str], s
     moving = {}
     for key, made in scrubbers.items():
         alt = tree.scrubbers[key].alt
-        moving[key] = {"poles": inline_svg(made.poles, f"{key}-poles", "Poles. " + alt), "traces": inline_svg(made.traces, f"{key}-traces", "Margins. " + alt),
-                       "data": script_json(made.data)}
+        moving[key] = {
+            "poles": inline_svg(made.poles, f"{key}-poles", "Poles. " + alt),
+            "traces": inline_svg(made.traces, f"{key}-traces", "Margins. " + alt),
+            "data": script_json(made.data),
+        }
     font = base64.b64encode(asset("stix-two-math-subset.woff2")).decode("ascii") if formulas else ""
-    return _template().render(
-        root=tree.root, figures=figures, formulas=formulas, scrubbers=moving, font=font, css=asset("report.css").decode("utf-8"),
-        js=asset("scrubber.js").decode("utf-8"), version=version,
+    page: str = _template().render(
+        root=tree.root,
+        figures=figures,
+        formulas=formulas,
+        scrubbers=moving,
+        font=font,
+        css=asset("report.css").decode("utf-8"),
+        js=asset("scrubber.js").decode("utf-8"),
+        version=version,
     )
+    return page
 
 
 @cache

@@ -20,9 +20,14 @@ def numbers(document: s.Document, tree: Tree, version: str) -> dict[str, Any]:
     given = document.provenance
     root = tree.root
     out = {
-        "title": document.title, "subtitle": document.subtitle, "version": version, "verdict": root["verdict"],
+        "title": document.title,
+        "subtitle": document.subtitle,
+        "version": version,
+        "verdict": root["verdict"],
         "sections": [_section(found, plain) for found, plain in _pairs(document, root["sections"])],
-        "figures": [{"id": b["id"], "number": b["number"], "alt": b["alt"]} for b in every_block(root["sections"]) if b["k"] in ("figure", "scrubber")],
+        "figures": [
+            {"id": b["id"], "number": b["number"], "alt": b["alt"]} for b in every_block(root["sections"]) if b["k"] in ("figure", "scrubber")
+        ],
         "provenance": {} if given is None else {"items": dict(given.items), "command": given.command},
     }
     return out
@@ -72,22 +77,39 @@ def _pairs(document: s.Document, roots: list[dict[str, Any]]) -> list[tuple[s.Se
 
 def _section(section: s.Section, plain_form: dict[str, Any]) -> dict[str, Any]:
     return {
-        "id": plain_form["id"], "title": section.title, "loop": section.loop, "status": section.status.value, "finding": _words(plain_form["finding"]),
-        "checks": [_check(c) for c in section.checks], "numbers": plain(section.numbers), "facts": _facts(section), "tables": _tables(section),
-        "sources": list(section.sources), "sections": [_section(x, y) for x, y in zip(section.sections, plain_form["sections"], strict=True)],
+        "id": plain_form["id"],
+        "title": section.title,
+        "loop": section.loop,
+        "status": section.status.value,
+        "finding": _words(plain_form["finding"]),
+        "checks": [_check(c) for c in section.checks],
+        "numbers": plain(section.numbers),
+        "facts": _facts(section),
+        "tables": _tables(section),
+        "sources": list(section.sources),
+        "sections": [_section(x, y) for x, y in zip(section.sections, plain_form["sections"], strict=True)],
     }
 
 
 def _check(c: s.Check) -> dict[str, Any]:
     return {
-        "name": c.name, "sense": c.sense, "unit": c.unit, "asked": plain(c.asked), "found": plain(c.found, c.infinite, c.undefined),
-        "distance": plain(c.distance, c.infinite, c.undefined), "status": c.status.value, "where": c.where, "when": plain(c.when),
+        "name": c.name,
+        "sense": c.sense,
+        "unit": c.unit,
+        "asked": plain(c.asked),
+        "found": plain(c.found, c.infinite, c.undefined),
+        "distance": plain(c.distance, c.infinite, c.undefined),
+        "status": c.status.value,
+        "where": c.where,
+        "when": plain(c.when),
     }
 
 
 def _facts(section: s.Section) -> list[dict[str, Any]]:
     blocks = [b for b in section.body if isinstance(b, s.KeyFacts)]
-    return [{"name": words(f.name), **({"value": f.value, "unit": ""} if isinstance(f.value, str) else plain(f.value))} for b in blocks for f in b.facts]
+    return [
+        {"name": words(f.name), **({"value": f.value, "unit": ""} if isinstance(f.value, str) else plain(f.value))} for b in blocks for f in b.facts
+    ]
 
 
 def _tables(section: s.Section) -> list[dict[str, Any]]:

@@ -9,16 +9,20 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, Final, Literal
 
 from mfc_analysis.report.html import asset
 from mfc_analysis.report.scrubber import Moving
 from mfc_analysis.report.tree import Tree
 
-STANDARDS = ["a-2a", "ua-1"]
+STANDARDS: Final[list[Literal["a-2a", "ua-1"]]] = ["a-2a", "ua-1"]
 
 
 def pdf(tree: Tree, drawings: Mapping[str, str], scrubbers: Mapping[str, Moving], version: str, timestamp: int = 0) -> bytes:
-    """The PDF's bytes. ``drawings``: SVG text by figure id. ``timestamp`` [s since 1970] is the document's date: an input, so that same input gives same bytes."""
+    """The PDF's bytes. ``drawings``: SVG text by figure id. ``timestamp`` [s since 1970] is the document's date.
+
+    The date is an input, so that same input gives same bytes.
+    """
     import typst
 
     pictures = dict(drawings)
@@ -33,12 +37,19 @@ def pdf(tree: Tree, drawings: Mapping[str, str], scrubbers: Mapping[str, Moving]
         (root / "data.json").write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
         (root / "equations.typ").write_text(_equations(tree), encoding="utf-8")
         (root / "report.typ").write_bytes(asset("report.typ"))
-        made = typst.compile(str(root / "report.typ"), root=str(root), font_paths=_fonts(), ignore_system_fonts=True, format="pdf",
-                             pdf_standards=STANDARDS, timestamp=timestamp)
+        made = typst.compile(
+            str(root / "report.typ"),
+            root=str(root),
+            font_paths=_fonts(),
+            ignore_system_fonts=True,
+            format="pdf",
+            pdf_standards=list(STANDARDS),
+            timestamp=timestamp,
+        )
     return bytes(made)
 
 
-def _fonts() -> list[str]:
+def _fonts() -> list[Any]:
     import matplotlib
 
     return [str(Path(matplotlib.get_data_path()) / "fonts" / "ttf")]

@@ -1,4 +1,4 @@
-"""The trajectory scrubber: poles and margins at one time of the path, moved by about 1 kB of plain JavaScript; without it, standing at the worst time.
+"""The trajectory scrubber: poles and margins at one time of the path, moved by about 1 kB of plain JavaScript; else at the worst time.
 
 Two drawings in SVG of our own (they stand side by side, or above one another on a phone), and the positions of what moves, as data.
 """
@@ -17,8 +17,8 @@ from mfc_analysis.report.section import Number, Scrubber, Trace, written
 Array = NDArray[np.float64]
 Element = ElementTree.Element
 
-_W1, _W2, _H = 330.0, 350.0, 290.0          # [pt] widths of the two drawings and their height
-_MOST = 121                                 # times kept for the page
+_W1, _W2, _H = 330.0, 350.0, 290.0  # [pt] widths of the two drawings and their height
+_MOST = 121  # times kept for the page
 _INK, _GRID, _GREY, _SHADE, _LINE, _DOT, _LIMIT = "#000000", "#d5d9de", "#6b7280", "#fbeee4", "#0072b2", "#c44e00", "#b45309"
 
 
@@ -111,7 +111,9 @@ def _plane(poles: NDArray[np.complex128], now: int) -> tuple[str, Array, Array]:
         _path(svg, px[:, k], py[:, k], _GREY, 0.6)
     for k in range(poles.shape[1]):
         x, y = (float(px[now, k]), float(py[now, k])) if np.isfinite(poles[now, k]) else (-99.0, -99.0)
-        mark = ElementTree.SubElement(svg, "path", {"class": "pole", "d": "M-3.5-3.5 3.5 3.5M-3.5 3.5 3.5-3.5", "transform": f"translate({x:.1f} {y:.1f})"})
+        mark = ElementTree.SubElement(
+            svg, "path", {"class": "pole", "d": "M-3.5-3.5 3.5 3.5M-3.5 3.5 3.5-3.5", "transform": f"translate({x:.1f} {y:.1f})"}
+        )
         mark.set("style", f"fill: none; stroke: {_LINE}; stroke-width: 1.6")
     _text(svg, left, 11, "Poles (log-symmetric)", "start", bold=True)
     _text(svg, (left + right) / 2, bottom + 27, "Re s [1/s]", "middle")
@@ -152,8 +154,17 @@ def _chart(svg: Element, trace: Trace, values: Array, x: Array, box: tuple[float
     pad = 0.12 * (high - low) or 0.1 * abs(high) or 1.0
     low, high = low - pad, high + pad
     y = bottom - (values - low) / (high - low) * (bottom - top)
-    ElementTree.SubElement(svg, "rect", {"x": f"{left:.1f}", "y": f"{top:.1f}", "width": f"{right - left:.1f}", "height": f"{bottom - top:.1f}",
-                                         "style": f"fill: none; stroke: {_GRID}; stroke-width: 0.7"})
+    ElementTree.SubElement(
+        svg,
+        "rect",
+        {
+            "x": f"{left:.1f}",
+            "y": f"{top:.1f}",
+            "width": f"{right - left:.1f}",
+            "height": f"{bottom - top:.1f}",
+            "style": f"fill: none; stroke: {_GRID}; stroke-width: 0.7",
+        },
+    )
     for v in (low + pad, high - pad):
         _text(svg, left - 4, bottom - (v - low) / (high - low) * (bottom - top) + 3, written(v), "end")
     if trace.limit is not None and np.isfinite(trace.limit):
@@ -176,7 +187,9 @@ def _said(svg: Element) -> str:
 
 
 def _rect(svg: Element, x: float, y: float, width: float, height: float, color: str) -> None:
-    ElementTree.SubElement(svg, "rect", {"x": f"{x:.1f}", "y": f"{y:.1f}", "width": f"{width:.1f}", "height": f"{height:.1f}", "style": f"fill: {color}"})
+    ElementTree.SubElement(
+        svg, "rect", {"x": f"{x:.1f}", "y": f"{y:.1f}", "width": f"{width:.1f}", "height": f"{height:.1f}", "style": f"fill: {color}"}
+    )
 
 
 def _line(svg: Element, x1: float, y1: float, x2: float, y2: float, color: str, dashed: bool = False) -> None:
@@ -193,12 +206,16 @@ def _path(svg: Element, x: Array, y: Array, color: str, width: float) -> None:
         parts.append(f"{pen}{a:.1f} {b:.1f}")
         pen = "L"
     if parts:
-        ElementTree.SubElement(svg, "path", {"d": "".join(parts), "style": f"fill: none; stroke: {color}; stroke-width: {width}; stroke-linejoin: round"})
+        ElementTree.SubElement(
+            svg, "path", {"d": "".join(parts), "style": f"fill: none; stroke: {color}; stroke-width: {width}; stroke-linejoin: round"}
+        )
 
 
 def _text(svg: Element, x: float, y: float, text: str, anchor: str, *, bold: bool = False, turned: bool = False) -> None:
     weight = "bold " if bold else ""
-    node = ElementTree.SubElement(svg, "text", {"x": f"{x:.1f}", "y": f"{y:.1f}", "style": f"font: {weight}8.5px 'DejaVu Sans', sans-serif; text-anchor: {anchor}"})
+    node = ElementTree.SubElement(
+        svg, "text", {"x": f"{x:.1f}", "y": f"{y:.1f}", "style": f"font: {weight}8.5px 'DejaVu Sans', sans-serif; text-anchor: {anchor}"}
+    )
     if turned:
         node.set("transform", f"rotate(-90 {x:.1f} {y:.1f})")
     node.text = text

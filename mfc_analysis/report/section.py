@@ -50,8 +50,8 @@ _FORBIDDEN = ("#", "$", "`", "//", "/*", "\\u")
 class Math:
     """Mathematics in Typst's notation, ours only: a source that could leave math mode raises ``BadArgument``."""
 
-    source: str          #: e.g. ``K_p dot(q)``; names of several letters in quotes
-    alt: str = ""        #: spoken form; default: the source
+    source: str  #: e.g. ``K_p dot(q)``; names of several letters in quotes
+    alt: str = ""  #: spoken form; default: the source
 
     def __post_init__(self) -> None:
         for bad in _FORBIDDEN:
@@ -91,11 +91,11 @@ class Number:
 
     value: float
     unit: str = ""
-    digits: int = 3                    #: significant digits shown
-    infinite: str = "no limit"         #: the word for inf
-    undefined: str = "not defined"     #: the word for NaN
-    sign: str = ""                     #: "≥", "≤" or "<" before it
-    exact: bool = False                #: a number somebody chose: as short as it is, "45" and not "45.0"
+    digits: int = 3  #: significant digits shown
+    infinite: str = "no limit"  #: the word for inf
+    undefined: str = "not defined"  #: the word for NaN
+    sign: str = ""  #: "≥", "≤" or "<" before it
+    exact: bool = False  #: a number somebody chose: as short as it is, "45" and not "45.0"
 
     def __str__(self) -> str:
         said = written(self.value, self.digits, self.infinite, self.undefined, self.exact)
@@ -104,7 +104,7 @@ class Number:
 
 
 def written(value: float, digits: int = 3, infinite: str = "no limit", undefined: str = "not defined", exact: bool = False) -> str:
-    """A number as a reader wants it: ``digits`` significant ones (``exact``: as many as it has, up to 6), a true minus sign, words for inf and NaN."""
+    """A number as a reader wants it: ``digits`` significant ones (``exact``: as many as it has, up to 6), words for inf and NaN."""
     if math.isnan(value):
         return undefined
     if math.isinf(value):
@@ -129,17 +129,17 @@ def written(value: float, digits: int = 3, infinite: str = "no limit", undefined
 class Check:
     """One requirement on one loop: asked, found, and where and when it is worst."""
 
-    name: str                          #: "phase margin"
-    asked: float                       #: the limit, in ``unit``
-    found: float                       #: the value, in ``unit``; NaN where the loop is unstable
+    name: str  #: "phase margin"
+    asked: float  #: the limit, in ``unit``
+    found: float  #: the value, in ``unit``; NaN where the loop is unstable
     unit: str
-    distance: float                    #: how far inside the limit, in ``unit``; negative: missed; NaN: unstable
+    distance: float  #: how far inside the limit, in ``unit``; negative: missed; NaN: unstable
     status: Status
-    where: str = ""                    #: joint or channel
-    when: float | None = None          #: [s]
-    sense: str = "≥"                   #: "≥": at least, "≤": at most, "<": below
-    infinite: str = "no limit"         #: the word for an infinite ``found``
-    undefined: str = "unstable"        #: the word for a NaN
+    where: str = ""  #: joint or channel
+    when: float | None = None  #: [s]
+    sense: str = "≥"  #: "≥": at least, "≤": at most, "<": below
+    infinite: str = "no limit"  #: the word for an infinite ``found``
+    undefined: str = "unstable"  #: the word for a NaN
 
     @property
     def place(self) -> str:
@@ -243,11 +243,14 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A drawing, by recipe (a picklable callable without arguments that returns Axes or a matplotlib Figure, e.g. a ``functools.partial``) or drawn already."""
+    """A drawing, by recipe or drawn already.
+
+    A recipe is a picklable callable without arguments that returns Axes or a matplotlib Figure: ``functools.partial(plots.poles, values)``.
+    """
 
     draw: Callable[[], Any] | Any
     caption: Text
-    alt: str                           #: what it shows, with the numbers in it
+    alt: str  #: what it shows, with the numbers in it
 
     def __post_init__(self) -> None:
         if not self.alt.strip():
@@ -310,7 +313,7 @@ class Matrix:
 
     caption: Text
     columns: tuple[str, ...]
-    rows: tuple[tuple[str, str, tuple[MatrixCell | None, ...]], ...]      #: (name, target, cells)
+    rows: tuple[tuple[str, str, tuple[MatrixCell | None, ...]], ...]  #: (name, target, cells)
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,12 +328,15 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class Scrubber:
-    """Poles and margins moving along the path: ``times`` (m,) [s], ``poles`` (m, nx) complex, traces of (m,). Stands still at the worst time without scripts."""
+    """Poles and margins moving along the path: ``times`` (m,) [s], ``poles`` (m, nx) complex, traces of (m,).
+
+    Without scripts it stands still at the worst time.
+    """
 
     times: Sequence[float]
     poles: Any
     traces: tuple[Trace, ...]
-    worst: int                         #: index of the worst time
+    worst: int  #: index of the worst time
     caption: Text
     alt: str
 
@@ -349,12 +355,12 @@ class Section:
     finding: Text = ""
     body: tuple[Block, ...] = ()
     checks: tuple[Check, ...] = ()
-    numbers: Mapping[str, Any] = field(default_factory=dict)     #: named numbers and arrays, for JSON
+    numbers: Mapping[str, Any] = field(default_factory=dict)  #: named numbers and arrays, for JSON
     sources: tuple[str, ...] = ()
     sections: tuple[Section, ...] = ()
-    loop: str = ""                     #: the loop it is about: a row of the matrix
-    key: str = ""                      #: for links; default: made from the title
-    verdict: Status | None = None      #: for a section whose status is not a matter of checks
+    loop: str = ""  #: the loop it is about: a row of the matrix
+    key: str = ""  #: for links; default: made from the title
+    verdict: Status | None = None  #: for a section whose status is not a matter of checks
 
     @property
     def status(self) -> Status:
@@ -408,4 +414,4 @@ class Document:
     provenance: Provenance | None = None
     symbols: tuple[Symbol, ...] = ()
     appendices: tuple[Section, ...] = ()
-    matrix: bool = True                #: show loops x checks when there is more than one loop
+    matrix: bool = True  #: show loops x checks when there is more than one loop

@@ -21,7 +21,7 @@ class Tree:
     """What renderers need: ``root`` (plain data), the equations by id, and the figures by id."""
 
     root: dict[str, Any]
-    equations: dict[str, tuple[str, bool]] = field(default_factory=dict)      #: id -> (Typst source, display?)
+    equations: dict[str, tuple[str, bool]] = field(default_factory=dict)  #: id -> (Typst source, display?)
     figures: dict[str, s.Figure] = field(default_factory=dict)
     scrubbers: dict[str, s.Scrubber] = field(default_factory=dict)
 
@@ -51,8 +51,16 @@ class _Builder:
         sections = [self._section(x, 1) for x in (*[f for f in front if f is not None], *document.sections, *back)]
         target = self.keys.get(id(found.section), "") if found.section is not None else ""
         self.out.root = {
-            "title": document.title, "subtitle": document.subtitle, "name": document.name,
-            "verdict": {"status": found.status.value, "sign": SIGNS[found.status.value], "sentence": found.sentence, "detail": found.detail, "to": target},
+            "title": document.title,
+            "subtitle": document.subtitle,
+            "name": document.name,
+            "verdict": {
+                "status": found.status.value,
+                "sign": SIGNS[found.status.value],
+                "sentence": found.sentence,
+                "detail": found.detail,
+                "to": target,
+            },
             "sections": sections,
         }
         return self.out
@@ -63,9 +71,16 @@ class _Builder:
         scope = self.document.scope
         if scope is None:
             return ()
-        parts = (("Model", scope.model), ("Assumptions", scope.assumptions), ("Operating points", scope.operating_points), ("Not checked", scope.not_checked))
+        parts = (
+            ("Model", scope.model),
+            ("Assumptions", scope.assumptions),
+            ("Operating points", scope.operating_points),
+            ("Not checked", scope.not_checked),
+        )
         rows = tuple((s.Strong(name), _joined(items)) for name, items in parts if items)
-        table = s.Table("What the verdict rests on, and what nobody looked at.", (s.Column("Part", numeric=False), s.Column("Said", numeric=False)), rows)
+        table = s.Table(
+            "What the verdict rests on, and what nobody looked at.", (s.Column("Part", numeric=False), s.Column("Said", numeric=False)), rows
+        )
         return (s.Section("Scope", body=(table,), key="scope"),)
 
     def _back(self) -> tuple[s.Section, ...]:
@@ -75,16 +90,16 @@ class _Builder:
             if given is not None:
                 rows = tuple((name, s.Mono(value)) for name, value in given.items)
                 rows += (("To make them again", s.Mono(given.command)),) if given.command else ()
-                columns = (s.Column("What", numeric=False), s.Column("Which", numeric=False))
-                body: list[s.Block] = [s.Table("What made these pages.", columns, rows)]
+                heads = (s.Column("What", numeric=False), s.Column("Which", numeric=False))
+                body: list[s.Block] = [s.Table("What made these pages.", heads, rows)]
                 if given.note:
                     body.append(s.Paragraph(given.note))
                 out.append(s.Section("Provenance", body=tuple(body), key="provenance"))
             out += self.document.appendices
             if self.document.symbols:
                 columns = (s.Column("Symbol", numeric=False), s.Column("Meaning", numeric=False), s.Column("Unit", numeric=False))
-                rows = tuple((x.letter, x.meaning, x.unit) for x in self.document.symbols)
-                out.append(s.Section("Symbols", body=(s.Table("Letters used on these pages.", columns, rows),), key="symbols"))
+                letters = tuple((x.letter, x.meaning, x.unit) for x in self.document.symbols)
+                out.append(s.Section("Symbols", body=(s.Table("Letters used on these pages.", columns, letters),), key="symbols"))
             self._after = tuple(out)
         return self._after
 
@@ -100,10 +115,14 @@ class _Builder:
         if found.check is None or found.section is None:
             return None
         check = found.check
-        facts = s.KeyFacts((
-            s.Fact("What", check.name, found.section.loop or found.section.title), s.Fact("Found", check.value), s.Fact("Asked", check.limit),
-            s.Fact("Where", check.place or "everywhere"),
-        ))
+        facts = s.KeyFacts(
+            (
+                s.Fact("What", check.name, found.section.loop or found.section.title),
+                s.Fact("Found", check.value),
+                s.Fact("Asked", check.limit),
+                s.Fact("Where", check.place or "everywhere"),
+            )
+        )
         told = judged.said(found.section, check)
         text = (told[:1].upper() + told[1:] + ". ", s.Link("See the evidence", self.keys[id(found.section)]), ".")
         section = s.Section("The worst case", finding=text, body=(facts,), key="worst-case", verdict=None)
@@ -128,8 +147,14 @@ class _Builder:
         if section.checks:
             blocks.insert(0, self._block(judged.requirements(section)))
         return {
-            "id": key, "level": level, "title": section.title, "status": section.status.value if section.status is not s.Status.INFO else "",
-            "sign": SIGNS[section.status.value], "finding": self._text(section.finding), "blocks": blocks, "sources": list(section.sources),
+            "id": key,
+            "level": level,
+            "title": section.title,
+            "status": section.status.value if section.status is not s.Status.INFO else "",
+            "sign": SIGNS[section.status.value],
+            "finding": self._text(section.finding),
+            "blocks": blocks,
+            "sources": list(section.sources),
             "sections": [self._section(x, level + 1) for x in section.sections],
         }
 
@@ -191,7 +216,10 @@ class _Builder:
         self.tables += 1
         columns = [{"spans": self._text(c.head), "unit": c.unit, "numeric": c.numeric} for c in b.columns]
         return {
-            "number": self.tables, "caption": self._text(b.caption), "columns": columns, "units": any(c.unit for c in b.columns),
+            "number": self.tables,
+            "caption": self._text(b.caption),
+            "columns": columns,
+            "units": any(c.unit for c in b.columns),
             "rows": [[self._cell(c) for c in row] for row in b.rows],
         }
 
@@ -208,14 +236,24 @@ class _Builder:
         return {"facts": [{"name": self._text(f.name), "value": clean(str(f.value)), "note": self._text(f.note)} for f in b.facts]}
 
     def _make_compare(self, b: s.Compare) -> dict[str, Any]:
-        sides = [{"title": clean(x.title), "status": x.status.value, "sign": SIGNS[x.status.value], "blocks": [self._block(y) for y in x.body]}
-                 for x in (b.left, b.right)]
+        sides = [
+            {"title": clean(x.title), "status": x.status.value, "sign": SIGNS[x.status.value], "blocks": [self._block(y) for y in x.body]}
+            for x in (b.left, b.right)
+        ]
         return {"sides": sides, "cost": self._text(b.cost)}
 
     def _make_matrix(self, b: s.Matrix) -> dict[str, Any]:
         self.tables += 1
-        rows = [{"name": clean(name), "to": to, "cells": [None if c is None else {"status": c.status.value, "sign": SIGNS[c.status.value], "text": c.text,
-                 "to": c.target} for c in cells]} for name, to, cells in b.rows]
+        rows = [
+            {
+                "name": clean(name),
+                "to": to,
+                "cells": [
+                    None if c is None else {"status": c.status.value, "sign": SIGNS[c.status.value], "text": c.text, "to": c.target} for c in cells
+                ],
+            }
+            for name, to, cells in b.rows
+        ]
         return {"number": self.tables, "caption": self._text(b.caption), "columns": [clean(c) for c in b.columns], "rows": rows}
 
     def _make_scrubber(self, b: s.Scrubber) -> dict[str, Any]:

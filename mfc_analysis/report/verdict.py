@@ -14,8 +14,8 @@ class Verdict:
     status: Status
     sentence: str
     detail: str
-    check: Check | None          #: the worst one
-    section: Section | None      #: where it stands
+    check: Check | None  #: the worst one
+    section: Section | None  #: where it stands
 
 
 def every_check(document: Document) -> tuple[tuple[Section, Check], ...]:
@@ -49,7 +49,7 @@ def said(section: Section, check: Check) -> str:
     loop = section.loop or section.title
     place = f" ({check.place})" if check.place else ""
     asked = {"≥": "at least", "≤": "at most", "<": "below"}.get(check.sense, check.sense)
-    return f"{check.name} of {loop}: {check.value} against {asked} {str(check.limit)[len(check.sense):].strip()}{place}"
+    return f"{check.name} of {loop}: {check.value} against {asked} {str(check.limit)[len(check.sense) :].strip()}{place}"
 
 
 def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
@@ -70,10 +70,7 @@ def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
                 row[check.name] = (section, check)
     if not cells:
         return None
-    rows = tuple(
-        (loop, keys[id(first[loop])], tuple(_cell(row.get(name), keys) for name in names))
-        for loop, row in cells.items()
-    )
+    rows = tuple((loop, keys[id(first[loop])], tuple(_cell(row.get(name), keys) for name in names)) for loop, row in cells.items())
     return Matrix("Every loop against every check; each cell leads to its evidence.", tuple(names), rows)
 
 
@@ -81,7 +78,9 @@ def requirements(section: Section) -> Table:
     """The checks of one section, failures first: check, value, limit, distance, where, result."""
     rows = sorted(section.checks, key=lambda c: c.severity, reverse=True)
     columns = (Column("Check", numeric=False), Column("Found"), Column("Asked"), Column("Result"), Column("Distance"), Column("Where", numeric=False))
-    return Table("What was asked of this loop, the worst first.", columns, tuple((c.name, c.value, c.limit, c.status, c.margin, c.place) for c in rows))
+    return Table(
+        "What was asked of this loop, the worst first.", columns, tuple((c.name, c.value, c.limit, c.status, c.margin, c.place) for c in rows)
+    )
 
 
 def _cell(pair: tuple[Section, Check] | None, keys: dict[int, str]) -> MatrixCell | None:

@@ -37,7 +37,7 @@ def history(m: int = 101, n: int = 6, unstable: bool = False) -> Margins:
     w = 48 + 6 * np.sin(np.pi * t + j)
     stable = np.ones(m, bool)
     if unstable:
-        stable[m // 3: m // 2] = False
+        stable[m // 3 : m // 2] = False
         phase[~stable] = np.nan
     increase = 8 + 0.05 * phase
     increase[:, 0] = np.where(stable, np.inf, np.nan)
@@ -71,7 +71,7 @@ def every_kind() -> dict[str, Callable[[], Any]]:
     origins = np.cumsum(rng.normal(size=(40, 7, 3)) * 0.05 + np.array([0.02, 0, 0.1]), axis=1)
     return {
         "bode": partial(plots.bode, w, L, **known),
-        "bode, unstable, no margins": partial(plots.bode, w, 50 * L, title="Opened at \"torque\", joint 6: wrist_3_joint"),
+        "bode, unstable, no margins": partial(plots.bode, w, 50 * L, title='Opened at "torque", joint 6: wrist_3_joint'),
         "bode at the right edge": partial(plots.bode, w, L, crossover=9000.0, phase_margin=-12.0),
         "nyquist": partial(plots.nyquist, w, L, sensitivity_peak=1.17, **known),
         "margins": partial(plots.margins, history(), asked=45.0),
@@ -83,19 +83,48 @@ def every_kind() -> dict[str, Callable[[], Any]]:
         "poles, one": partial(plots.poles, np.array([-3.0])),
         "poles, tiny and huge": partial(plots.poles, np.array([-1e-6, -1e6 + 1e6j, -1e6 - 1e6j])),
         "poles in z": partial(plots.poles, np.array([0.9, 0.5 + 0.5j, 0.5 - 0.5j, -1.1]), discrete=True),
-        "step": partial(plots.step, t, 0.2 - q[:, 0], nonlinear=(t, 0.2 - 0.9 * q[:, 0]), torque=(t, 12345 * q[:, 0]), torque_limit=1000.0, target=0.2, band=0.004),
+        "step": partial(
+            plots.step, t, 0.2 - q[:, 0], nonlinear=(t, 0.2 - 0.9 * q[:, 0]), torque=(t, 12345 * q[:, 0]), torque_limit=1000.0, target=0.2, band=0.004
+        ),
         "step, linear only": partial(plots.step, t, 1e-5 * q[:, 0]),
-        "run": partial(plots.traces, t, (Panel("error [rad]", q), Panel("torque [Nm]", 3e4 * q, limit=150.0, beside=2e4 * q)), UR5, events=((0.4, "touch"), (2.9, "lifted off")),
-                       said=("nonlinear", "linear")),
-        "four panels": partial(plots.traces, t, (Panel("q [rad]", q), Panel("v [rad/s]", q), Panel("force [N]", -1e6 * q), Panel("|e|", np.abs(q) + 1e-9, log=True)), title="Run"),
-        "curves": partial(plots.curves, k, (("torque", 1 / k), ("force", 2 / k)), xlabel="stiffness [N/m]", ylabel="phase margin [deg]", log="xy", limit=1e-4),
-        "map": partial(plots.stability_map, k, g, growth, xlabel="stiffness [N/m]", ylabel="force gain kfp [-]", points=((1e3, 1.0, True), (1e5, 30.0, False)), title="9.23"),
+        "run": partial(
+            plots.traces,
+            t,
+            (Panel("error [rad]", q), Panel("torque [Nm]", 3e4 * q, limit=150.0, beside=2e4 * q)),
+            UR5,
+            events=((0.4, "touch"), (2.9, "lifted off")),
+            said=("nonlinear", "linear"),
+        ),
+        "four panels": partial(
+            plots.traces,
+            t,
+            (Panel("q [rad]", q), Panel("v [rad/s]", q), Panel("force [N]", -1e6 * q), Panel("|e|", np.abs(q) + 1e-9, log=True)),
+            title="Run",
+        ),
+        "curves": partial(
+            plots.curves, k, (("torque", 1 / k), ("force", 2 / k)), xlabel="stiffness [N/m]", ylabel="phase margin [deg]", log="xy", limit=1e-4
+        ),
+        "map": partial(
+            plots.stability_map,
+            k,
+            g,
+            growth,
+            xlabel="stiffness [N/m]",
+            ylabel="force gain kfp [-]",
+            points=((1e3, 1.0, True), (1e5, 30.0, False)),
+            title="9.23",
+        ),
         "map, all stable": partial(plots.stability_map, k, g, 0 * growth - 1, xlabel="stiffness [N/m]", ylabel="gain [-]"),
         "arm": partial(plots.arm, origins, worst=10, worst_time=1.234),
         "floquet": partial(plots.multipliers, np.array([-1.0738, 0.3 + 0.2j, 0.3 - 0.2j])),
         "disk": partial(plots.disk, (0.61, 1.64), 27.3, alpha=0.486),
         "disk, no upper end": partial(plots.disk, (0.0, np.inf), 90.0, alpha=2.0),
-        "block": partial(plots.block, (("PID + feedforward\n9.12", "command"), ("inverse\ndynamics", ""), ("lag 2 ms\ndelay 1 ms", "torque"), ("UR5 + 2 kg", "")), back="position", at="torque",
-                         inputs=((3, "F_tip"),)),
+        "block": partial(
+            plots.block,
+            (("PID + feedforward\n9.12", "command"), ("inverse\ndynamics", ""), ("lag 2 ms\ndelay 1 ms", "torque"), ("UR5 + 2 kg", "")),
+            back="position",
+            at="torque",
+            inputs=((3, "F_tip"),),
+        ),
         "block, full": partial(plots.block, tuple((f"a very long name {i}", "command") for i in range(6)), at="command"),
     }

@@ -45,8 +45,11 @@ def texts(figure, monkeypatch):
 def test_no_text_leaves_the_sheet(kind, monkeypatch):
     with matplotlib.rc_context(sheet.settings()):
         figure = sheet.figure_of(KINDS[kind]())
-        outside = [f"{said!r} at {box.x0:.0f}..{box.x1:.0f}, {box.y0:.0f}..{box.y1:.0f} of {whole.width:.0f} x {whole.height:.0f}" for said, box, whole in texts(figure, monkeypatch)
-                   if box.x0 < -0.5 or box.y0 < -0.5 or box.x1 > whole.width + 0.5 or box.y1 > whole.height + 0.5]
+        outside = [
+            f"{said!r} at {box.x0:.0f}..{box.x1:.0f}, {box.y0:.0f}..{box.y1:.0f} of {whole.width:.0f} x {whole.height:.0f}"
+            for said, box, whole in texts(figure, monkeypatch)
+            if box.x0 < -0.5 or box.y0 < -0.5 or box.x1 > whole.width + 0.5 or box.y1 > whole.height + 0.5
+        ]
     assert not outside
 
 
@@ -85,7 +88,7 @@ def test_an_unknown_kind_of_sheet_lists_those_there_are():
 @pytest.mark.parametrize("lag_turns", [0, 1, 2, -1])
 def test_the_phase_is_normalised_at_the_crossover_whatever_its_turns_before(lag_turns):
     w = np.geomspace(1e-2, 1e3, 2000)
-    L = 1 / (1j * w) ** 2 * (1 + 1j * w) * 2           # PD on a double integrator: phase margin at its crossover
+    L = 1 / (1j * w) ** 2 * (1 + 1j * w) * 2  # PD on a double integrator: phase margin at its crossover
     crossover = w[np.argmin(np.abs(np.abs(L) - 1))]
     margin = 180 + np.degrees(np.angle(L[np.argmin(np.abs(np.abs(L) - 1))]))
     turned = L * np.exp(2j * np.pi * lag_turns)
@@ -104,7 +107,7 @@ def test_gain_arrows_stand_where_the_drawn_curve_crosses_the_negative_real_axis(
     from mfc_analysis.plots.frequency import _crossing
 
     w = np.geomspace(0.01, 100, 3000)
-    L = 25 / ((1j * w) ** 3 + 10 * (1j * w) ** 2 + 10 * 1j * w + 10)      # crosses at w = sqrt(10): L = 25/(10 - 100) = -1/3.6
+    L = 25 / ((1j * w) ** 3 + 10 * (1j * w) ** 2 + 10 * 1j * w + 10)  # crosses at w = sqrt(10): L = 25/(10 - 100) = -1/3.6
     assert _crossing(w, L, 3.6) == pytest.approx(np.sqrt(10), rel=1e-4)
     assert _crossing(w, L, 50.0) is None
 
@@ -121,20 +124,23 @@ def test_progress_counts_every_figure_once():
 
 
 def test_the_second_process_imports_neither_control_nor_pinocchio():
-    code = "import sys, mfc_analysis.plots.worker, mfc_analysis.plots as p; p.svg(p.axes_for('map')); print([m for m in ('control', 'pinocchio', 'scipy', 'pyplot') if m in sys.modules or f'matplotlib.{m}' in sys.modules])"
+    code = """import sys, mfc_analysis.plots.worker, mfc_analysis.plots as p; p.svg(p.axes_for('map'))
+print([m for m in ('control', 'pinocchio', 'scipy', 'matplotlib.pyplot') if m in sys.modules])"""
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
 
 
 def test_importing_plots_does_not_load_matplotlib():
-    run = subprocess.run([sys.executable, "-c", "import sys, mfc_analysis.plots; print('matplotlib' in sys.modules)"], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", "import sys, mfc_analysis.plots; print('matplotlib' in sys.modules)"], capture_output=True, text=True, check=True
+    )
     assert run.stdout.strip() == "False"
 
 
 def test_a_stability_map_draws_its_boundary_where_the_growth_is_zero():
     x, y = np.linspace(0, 2, 41), np.linspace(0, 2, 41)
     ax = plots.stability_map(x, y, x[None, :] - 1 + 0 * y[:, None], xlabel="x", ylabel="y", log="")
-    line = [c for c in ax.collections if c.get_linewidth()[0] == 1.2][0].get_paths()[0].vertices
+    line = next(c for c in ax.collections if c.get_linewidth()[0] == 1.2).get_paths()[0].vertices
     np.testing.assert_allclose(line[:, 0], 1.0, atol=1e-12)
 
 

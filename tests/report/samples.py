@@ -9,7 +9,24 @@ import numpy as np
 
 from mfc_analysis import plots
 from mfc_analysis.report.section import (
-    Check, Column, Document, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Provenance, Row, Scope, Scrubber, Section, Status, Symbol, Table, Trace,
+    Check,
+    Column,
+    Document,
+    Equation,
+    Fact,
+    Figure,
+    KeyFacts,
+    Math,
+    Number,
+    Provenance,
+    Row,
+    Scope,
+    Scrubber,
+    Section,
+    Status,
+    Symbol,
+    Table,
+    Trace,
 )
 
 
@@ -34,12 +51,24 @@ def loop(w: np.ndarray) -> np.ndarray:
     return (KP + KI / s + KD * s / (1 + s / 400)) / (J * s**2 + B * s) / (TI * s + 1) * np.exp(-s * 0.75e-3)
 
 
-def history(m: int = 201, channels: tuple[str, ...] = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"), shift: float = 0.0) -> Margins:
+def history(
+    m: int = 201, channels: tuple[str, ...] = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"), shift: float = 0.0
+) -> Margins:
     t = np.linspace(0, 2, m)
     n = len(channels)
     phase = np.stack([60 - 12 * np.cos(2 * np.pi * t / 2 + 0.6 * j) - 3 * j - shift for j in range(n)], axis=1)
     w = np.stack([48 + 6 * np.sin(np.pi * t + j) for j in range(n)], axis=1)
-    return Margins(t, channels, np.ones(m, bool), np.full((m, n), 1 / 9) + 0.01 * phase / 60, 8 + 0.05 * phase, phase, np.radians(phase) / w, 1 / (2 * np.sin(np.radians(phase) / 2)) + 0.2, w)
+    return Margins(
+        t,
+        channels,
+        np.ones(m, bool),
+        np.full((m, n), 1 / 9) + 0.01 * phase / 60,
+        8 + 0.05 * phase,
+        phase,
+        np.radians(phase) / w,
+        1 / (2 * np.sin(np.radians(phase) / 2)) + 0.2,
+        w,
+    )
 
 
 def checks(overshoot: float = 15.9) -> tuple[Check, ...]:
@@ -59,11 +88,27 @@ def figures() -> tuple[Figure, ...]:
     t = np.linspace(0, 0.6, 301)
     y = 0.2 * (1 - np.exp(-18 * t) * np.cos(9 * t))
     return (
-        Figure(partial(plots.bode, w, L, **known), "Open-loop frequency response with gain and phase margin.", "Bode plot: phase margin 66 degrees at 47.6 rad/s, gain margin 24.6 dB."),
-        Figure(partial(plots.nyquist, w, L, sensitivity_peak=1.17, **known), ("Nyquist curve; the circle is the disc of radius ", Math("1/M_s"), " about −1."), "Nyquist plot: Ms 1.17."),
+        Figure(
+            partial(plots.bode, w, L, **known),
+            "Open-loop frequency response with gain and phase margin.",
+            "Bode plot: phase margin 66 degrees at 47.6 rad/s, gain margin 24.6 dB.",
+        ),
+        Figure(
+            partial(plots.nyquist, w, L, sensitivity_peak=1.17, **known),
+            ("Nyquist curve; the circle is the disc of radius ", Math("1/M_s"), " about −1."),
+            "Nyquist plot: Ms 1.17.",
+        ),
         Figure(partial(plots.poles, p, damping=0.5), "Closed-loop poles with the ray of damping 0.5.", "Pole map: slowest pole -2.97 per second."),
-        Figure(partial(plots.step, t, y, nonlinear=(t, y * 0.97), torque=(t, 60 * np.exp(-20 * t)), torque_limit=60, target=0.2, index=2), "Step of 200 mrad.", "Step response: overshoot 15.9 percent."),
-        Figure(partial(plots.margin_history, history(), {"phase_deg": 45.0, "sensitivity_peak": 1.7, "delay": 2e-3}), "Margins along the path.", "Margins against time: smallest phase margin 33 degrees."),
+        Figure(
+            partial(plots.step, t, y, nonlinear=(t, y * 0.97), torque=(t, 60 * np.exp(-20 * t)), torque_limit=60, target=0.2, index=2),
+            "Step of 200 mrad.",
+            "Step response: overshoot 15.9 percent.",
+        ),
+        Figure(
+            partial(plots.margin_history, history(), {"phase_deg": 45.0, "sensitivity_peak": 1.7, "delay": 2e-3}),
+            "Margins along the path.",
+            "Margins against time: smallest phase margin 33 degrees.",
+        ),
     )
 
 
@@ -71,23 +116,63 @@ def document(overshoot: float = 15.9, title: str = "Joint 3 position loop") -> D
     bode, nyquist, pole_map, step, path = figures()
     p = (-2.97 + 0j, -14.7 + 0j, -40.9 + 0j, -306.8 + 0j, -3993 + 2308j)
     one = Section("Requirements", "The overshoot is 15.9 % where 10 % was asked.", checks=checks(overshoot), loop="elbow PID")
-    two = Section("Loop", body=(
-        Equation(r'L(s) = (K_p + K_i/s + (K_d s)/(1 + s slash N)) dot 1/(J s^2 + b s) dot 1/(T_i s + 1) dot e^(-s T_d)', "open loop transfer function", "1"),
-        Equation(r'bold(M)(bold(q)) dot.double(bold(q)) + bold(C)(bold(q), dot(bold(q))) dot(bold(q)) + hat(bold(g))(bold(q)) = bold(tau) + bold(J)^top bold(f)_"ext"', "equation of motion", "2"),
-        Equation(r'M_s = max_omega abs(1/(1 + L(j omega))) = 1.17', "sensitivity peak", "3"),
-        KeyFacts((Fact("Phase margin", Number(66.0, "°"), "at 47.6 rad/s"), Fact("Gain margin", Number(24.6, "dB")), Fact("Delay margin", Number(23.9, "ms")))),
-        Table("Parameters.", (Column(Math("K_p"), "Nm/rad"), Column(Math("K_i"), "Nm/(rad s)"), Column(Math("K_d"), "Nm s/rad")), ((820.0, 1900.0, 62.0),)),
-    ))
+    two = Section(
+        "Loop",
+        body=(
+            Equation(
+                r"L(s) = (K_p + K_i/s + (K_d s)/(1 + s slash N)) dot 1/(J s^2 + b s) dot 1/(T_i s + 1) dot e^(-s T_d)",
+                "open loop transfer function",
+                "1",
+            ),
+            Equation(
+                r'bold(M)(bold(q)) dot.double(bold(q)) + bold(C)(bold(q), dot(bold(q))) dot(bold(q)) + hat(bold(g))(bold(q)) = bold(tau) + bold(J)^top bold(f)_"ext"',
+                "equation of motion",
+                "2",
+            ),
+            Equation(r"M_s = max_omega abs(1/(1 + L(j omega))) = 1.17", "sensitivity peak", "3"),
+            KeyFacts(
+                (
+                    Fact("Phase margin", Number(66.0, "°"), "at 47.6 rad/s"),
+                    Fact("Gain margin", Number(24.6, "dB")),
+                    Fact("Delay margin", Number(23.9, "ms")),
+                )
+            ),
+            Table(
+                "Parameters.",
+                (Column(Math("K_p"), "Nm/rad"), Column(Math("K_i"), "Nm/(rad s)"), Column(Math("K_d"), "Nm s/rad")),
+                ((820.0, 1900.0, 62.0),),
+            ),
+        ),
+    )
     h = history()
     turn = 1 + 0.3 * np.sin(np.pi * h.times[:, None] + np.arange(7))
-    moving = Scrubber(h.times, turn * np.array([-2.97, -14.7, -40.9, -306.8, -162 + 90j, -162 - 90j, -1600]), (
-        Trace("PM", "°", h.phase_deg.min(axis=1), 45.0), Trace("GM", "dB", 20 * np.log10(h.gain_increase.min(axis=1)), 6.0), Trace("Ms", "", h.sensitivity_peak.max(axis=1), 1.7),
-    ), int(h.phase_deg.min(axis=1).argmin()), "Poles (grey: their paths) and margins at one time of the path.", "Smallest phase margin 33 degrees at t = 1 s.")
+    moving = Scrubber(
+        h.times,
+        turn * np.array([-2.97, -14.7, -40.9, -306.8, -162 + 90j, -162 - 90j, -1600]),
+        (
+            Trace("PM", "°", h.phase_deg.min(axis=1), 45.0),
+            Trace("GM", "dB", 20 * np.log10(h.gain_increase.min(axis=1)), 6.0),
+            Trace("Ms", "", h.sensitivity_peak.max(axis=1), 1.7),
+        ),
+        int(h.phase_deg.min(axis=1).argmin()),
+        "Poles (grey: their paths) and margins at one time of the path.",
+        "Smallest phase margin 33 degrees at t = 1 s.",
+    )
     three = Section("Frequency response", ("The loop crosses 0 dB at 47.6 rad/s; ", Math("M_s = 1.17"), "."), (Row((bode, nyquist)), path, moving))
-    four = Section("Poles and time response", body=(Row((pole_map, step)), Table("Closed-loop poles, slowest first.", (Column("Pole", "1/s"), Column("Damping")), tuple((z, -z.real / abs(z)) for z in p))),
-                   numbers={"poles": np.array(p), "gain_increase": np.inf})
+    four = Section(
+        "Poles and time response",
+        body=(
+            Row((pole_map, step)),
+            Table("Closed-loop poles, slowest first.", (Column("Pole", "1/s"), Column("Damping")), tuple((z, -z.real / abs(z)) for z in p)),
+        ),
+        numbers={"poles": np.array(p), "gain_increase": np.inf},
+    )
     return Document(
-        title, "PID with current loop and sample delay", (one, two, three, four), "joint-3", Scope(("URDF of the arm, 2 kg payload",), ("rigid joints",), ("201 points of the path",), ("joint flexibility",)),
+        title,
+        "PID with current loop and sample delay",
+        (one, two, three, four),
+        "joint-3",
+        Scope(("URDF of the arm, 2 kg payload",), ("rigid joints",), ("201 points of the path",), ("joint flexibility",)),
         Provenance((("mfc_analysis", "0.1.0"), ("Input SHA-256", "224902f45ecebf18")), "mfc-analysis report joint3.toml"),
         (Symbol(Math("K_p"), "proportional gain", "Nm/rad"), Symbol(Math("dot(q)"), "joint rates", "rad/s")),
     )
