@@ -125,7 +125,8 @@ def document(overshoot: float = 15.9, title: str = "Joint 3 position loop") -> D
                 "1",
             ),
             Equation(
-                r'bold(M)(bold(q)) dot.double(bold(q)) + bold(C)(bold(q), dot(bold(q))) dot(bold(q)) + hat(bold(g))(bold(q)) = bold(tau) + bold(J)^top bold(f)_"ext"',
+                r'bold(M)(bold(q)) dot.double(bold(q)) + bold(C)(bold(q), dot(bold(q))) dot(bold(q)) + '
+                    r'hat(bold(g))(bold(q)) = bold(tau) + bold(J)^top bold(f)_"ext"',
                 "equation of motion",
                 "2",
             ),
