@@ -116,6 +116,27 @@ def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, ti
     return path
 
 
+def follow(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: Array, damping: float = 0.0) -> tuple[Array, Array, Array]:
+    """Joint positions, velocities, accelerations (m, n) of the solution followed from ``q_start`` at t = 0 (or at the first time, if that is before).
+
+    ``damping`` [-] is that of the Jacobian's inverse where the path comes close to a singularity; 0 refuses there.
+    Raises ``NotConverged`` and ``NearSingular``, with the time.
+    """
+    follower = _Follower(robot, tool_ref, damping=damping)
+    now = min(0.0, float(times[0]))
+    node = follower.node(follower.project(checks.array("q_start", q_start, (robot.n,)), now), now)
+    nodes = []
+    for t in times:
+        if t > now and not tool_ref.is_hold:
+            for later in np.linspace(now, t, follower.substeps(node, now, float(t)) + 1)[1:]:
+                node = follower.node(follower.project(follower.advance(node.q, now, float(later)), float(later), near=node.q), float(later))
+                now = float(later)
+        nodes.append(node)
+    follower.report()
+    q, v, a = (np.array(x) for x in zip(*nodes, strict=True))
+    return q, v, a
+
+
 def solve_pose(robot: Robot, X: Any, q_start: ArrayLike) -> Array:
     """(n,) joints near ``q_start`` that put the tool at the pose X (4x4 or a Pinocchio SE3); ``NotConverged`` where there are none."""
     target = pose_matrix("X", X)
@@ -133,6 +154,7 @@ class _Follower:
     robot: Robot
     ref: ToolReference
     worst: tuple[float, float, float] = (0.0, 0.0, 0.0)  # condition number, smallest singular value, time
+    damping: float = 0.0
 
     def project(self, q: Array, t: float, near: Array | None = None) -> Array:
         """The joints at which the tool is where the path is, from a guess close by."""
@@ -192,10 +214,10 @@ class _Follower:
     def _pseudo_inverse(self, J: Array, t: float) -> Array:
         U, s, Vt = np.linalg.svd(J, full_matrices=False)
         condition = float(s[0] / max(s[-1], 1e-300))
-        if condition > REFUSE_CONDITION:
+        if condition > REFUSE_CONDITION and not self.damping:
             raise NearSingular(self.robot.tool, float(s[-1]), condition, t)
         self.worst = max(self.worst, (condition, float(s[-1]), t))
-        out: Array = (Vt.T / s) @ U.T
+        out: Array = (Vt.T * (s / (s * s + self.damping**2))) @ U.T
         return out
 
     def _check_followed(self, dV: Array, ddV: Array, point: ToolPoint, t: float) -> None:
