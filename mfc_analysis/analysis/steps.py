@@ -1,0 +1,280 @@
+"""Step responses of the closed loop, with their figures.
+
+Samples come from one matrix exponential by doubling (x[k + 2^p] from x[k] in one product), figures from the exact response
+between the samples: rise, settling and peak don't depend on the grid. With dead time see ``delayed_steps``.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.poles import Spectrum, rates, spectrum, stability
+from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.analysis.zero_roots import without_zero_roots
+from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.maths.checks import number
+from mfc_analysis.maths.expm import expm_integral
+
+Array = NDArray[np.float64]
+
+BAND = 0.02  #: of the settling time
+SAMPLES = 1000  #: at least, of one response
+
+
+class Outcome(enum.Enum):
+    """What the response does in the end."""
+
+    SETTLES = "the response settles"
+    RAMPS = "the response never settles: a root at zero integrates the input"
+    GROWS = "the response grows: the closed loop is unstable"
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Response of one output to a unit step of one input. NaN: not defined (nothing settles, or it settles at zero)."""
+
+    t: Array  #: (k,) [s]
+    y: Array  #: (k,) output per unit of the input
+    input: str
+    output: str
+    time: float  #: [s] of the operating point
+    outcome: Outcome
+    steady_state: float  #: final value; inf with its sign where it ramps, NaN where it grows
+    rise: float  #: [s] from the first 10 % to the first 90 % of the final value; NaN if that is zero
+    settling: float  #: [s] last time outside ``settling_band``; inf where it ramps, NaN where it grows
+    settling_band: float  #: 0.02: of the final value, or of the peak where that is zero
+    overshoot: float  #: fraction of the final value by which the peak exceeds it; NaN if that is zero
+    undershoot: float  #: fraction of the final value by which the response first goes the wrong way
+    peak: float  #: largest |y|; NaN where it does not settle
+    peak_time: float  #: [s]
+
+    def __str__(self) -> str:
+        if self.outcome is not Outcome.SETTLES:
+            return f"step {self.input} -> {self.output} at t = {self.time:.4g} s: {self.outcome.value}"
+        return (
+            f"step {self.input} -> {self.output} at t = {self.time:.4g} s: final value {self.steady_state:.4g}, rise {self.rise:.4g} s (10-90 %), "
+            f"settling {self.settling:.4g} s ({100 * self.settling_band:g} %), overshoot {100 * self.overshoot:.3g} %"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A sampled response that is known between its samples as well."""
+
+    t: Array  #: (k,) [s]
+    y: Array  #: (k,)
+    slope: Array  #: (k,) [1/s]
+    between: Callable[[int, float], tuple[float, float]]  #: (k, d): y and its slope at t[k] + d
+
+
+def step(system: OpenSystem, index: int, input: str | int, output: str | int, duration: float | None = None) -> Step:
+    """Unit step of ``input`` at ``output``, of the closed loop at point ``index``, dead time included.
+
+    ``input``, ``output``: names or numbers; ``duration`` [s] of the samples returned, omitted: about twice the settling time.
+    The figures don't depend on it. Raises ``UnknownName`` and ``BadArgument``.
+    """
+    if not -len(system.A) <= index < len(system.A):
+        raise BadArgument("index", index, f"a point from 0 to {len(system.A) - 1}")
+    into, out = _number("input", input, system.input_names), _number("output", output, system.output_names)
+    if duration is not None:
+        duration = number("duration", duration, low=0.0, strict=True)
+    one = system.at(np.array([index % len(system.A)]))
+    known, run_for = spectrum(one), _runner(one, into, out)
+    verdict = stability(one, known)
+    outcome, steady = _end(one, into, out, bool(verdict.nonzero_stable[0]), known)
+    run = _settled_run(run_for, known, steady if outcome is Outcome.SETTLES else None, one.dt)
+    figures = _figures(run, steady, one.dt) if outcome is Outcome.SETTLES else dict.fromkeys(FIGURES, np.nan)
+    if outcome is Outcome.RAMPS:
+        figures["settling"] = np.inf
+    shown = run if duration is None else run_for(duration, _samples(duration, known, one.dt))
+    return Step(
+        shown.t, shown.y, system.input_names[into], system.output_names[out], float(one.times[0]), outcome, steady, settling_band=BAND, **figures
+    )
+
+
+FIGURES = ("rise", "settling", "overshoot", "undershoot", "peak", "peak_time")
+
+
+def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
+    if isinstance(name, (int, np.integer)) and not isinstance(name, bool):
+        if not 0 <= name < len(known):
+            raise UnknownName(argument, name, [*known, *map(str, range(len(known)))])
+        return int(name)
+    if name not in known:
+        raise UnknownName(argument, name, known)
+    return known.index(name)
+
+
+def _end(system: OpenSystem, into: int, out: int, others_decay: bool, known: Spectrum) -> tuple[Outcome, float]:
+    """What the response does in the end, and its final value. Dead time has passed by then."""
+    if not others_decay:
+        return Outcome.GROWS, np.nan
+    A, B, C, D = close_wires(system)
+    a, b, c = A[0] - (np.eye(system.nx) if system.dt else 0.0), B[0][:, [into]], C[0][[out]]
+    gain = 0.0
+    if known.roots.count[0]:
+        split = without_zero_roots(a, b, c)
+        row, size = split.C_zero, np.abs(split.C_zero)
+        other = float((np.abs(split.C) @ np.abs(split.B))[0, 0])
+        for _ in range(len(split.A_zero)):
+            strength, scale = float((row @ split.B_zero)[0, 0]), float((size @ np.abs(split.B_zero))[0, 0])
+            gain = strength if abs(strength) > 1e-9 * (scale + other) else gain
+            row, size = row @ split.A_zero, size @ np.abs(split.A_zero)
+        a, b, c = split.A, split.B, split.C
+    if gain:
+        return Outcome.RAMPS, float(np.copysign(np.inf, gain))
+    terms = c[0] * np.linalg.solve(a, b)[:, 0] if len(a) else np.zeros(1)
+    steady = float(D[0][out, into] - terms.sum())
+    return Outcome.SETTLES, 0.0 if abs(steady) < 1e-13 * np.abs(terms).sum() else steady
+
+
+def _runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], Run]:
+    if system.wire_delay.any() and not system.dt:
+        from mfc_analysis.analysis.delayed_steps import delayed_runner
+
+        return delayed_runner(system, into, out)
+    A, B, C, D = (x[0] for x in close_wires(system))
+    b, c, d = B[:, [into]], C[out], float(D[out, into])
+    if system.dt:
+        return lambda duration, samples: _sampled(A, b, c, d, system.dt, max(2, int(np.ceil(duration / system.dt * (1 - 1e-12)))))
+
+    def run(duration: float, samples: int) -> Run:
+        h = duration / samples
+        move, push = expm_integral(A, b, h)
+        x = _doubled(move, push[:, 0], samples)
+
+        def between(k: int, ahead: float) -> tuple[float, float]:
+            part, more = expm_integral(A, b, ahead)
+            here = part @ x[:, k] + more[:, 0]
+            return float(c @ here + d), float(c @ (A @ here + b[:, 0]))
+
+        return Run(h * np.arange(samples + 1), c @ x + d, c @ (A @ x + b), between)
+
+    return run
+
+
+def _sampled(A: Array, b: Array, c: Array, d: float, dt: float, samples: int) -> Run:
+    y = c @ _doubled(A, b[:, 0], samples) + d
+    return Run(dt * np.arange(samples + 1), y, np.zeros(samples + 1), lambda k, ahead: (float(y[k]), 0.0))
+
+
+def _doubled(move: Array, push: Array, samples: int) -> Array:
+    """x[k + 1] = move x[k] + push from x[0] = 0: (nx, samples + 1), doubling what is known until there is enough."""
+    x = np.zeros((len(push), 1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        while x.shape[1] <= samples:
+            x = np.hstack([x, move @ x + push[:, None]])
+            push = move @ push + push
+            move = move @ move
+    return x[:, : samples + 1]
+
+
+def _samples(duration: float, known: Spectrum, dt: float) -> int:
+    if dt:
+        return max(1, round(duration / dt))
+    turns = duration * np.abs(known.poles.imag).max(initial=0.0) / (2 * np.pi)
+    return int(np.clip(16 * turns, SAMPLES, 20 * SAMPLES))
+
+
+def _settled_run(run_for: Callable[[float, int], Run], known: Spectrum, steady: float | None, dt: float) -> Run:
+    """A run about twice as long as it takes to settle; eight of the slowest times where nothing settles."""
+    s = rates(known.poles, dt)[~known.zero]
+    rate = np.abs(s.real[np.isfinite(s.real) & (np.abs(s.real) > 1e-12 * np.abs(s))])
+    if steady is None:
+        grows = s.real[s.real > 1e-12 * np.abs(s)]
+        slowest = grows.max() if grows.size else rate.min() if rate.size else 1.0
+        duration = 8 / slowest
+        return run_for(duration, _samples(duration, known, dt))
+    duration = 10 / rate.min() if rate.size else max(1.0, 10 * dt)
+    run = run_for(duration, _samples(duration, known, dt))
+    for _ in range(40):
+        left = _last_outside(run, steady)
+        if left >= 0.9 * duration:
+            duration *= 2
+        elif 0 < left < duration / 4:
+            duration = 2 * left
+        elif left == 0 and (run.y[1:] == run.y[1]).all():
+            break
+        elif left == 0:
+            duration /= SAMPLES / 2
+        else:
+            break
+        if dt and duration < 2 * dt:
+            break
+        run = run_for(duration, _samples(duration, known, dt))
+    return run
+
+
+def _band(run: Run, steady: float) -> float:
+    """Half width of the settling band: of the final value, or of the peak where that is zero."""
+    peak = float(np.abs(run.y).max())
+    return BAND * (abs(steady) if abs(steady) > 1e-9 * peak else peak)
+
+
+def _last_outside(run: Run, steady: float) -> float:
+    outside = np.flatnonzero(np.abs(run.y - steady) > _band(run, steady))
+    return float(run.t[outside[-1]]) if outside.size else 0.0
+
+
+def _figures(run: Run, steady: float, dt: float) -> dict[str, float]:
+    exact = not dt
+    peak, peak_time = _extreme(run, 1.0 if abs(run.y.max()) >= abs(run.y.min()) else -1.0, exact)
+    band = _band(run, steady)
+    outside = np.flatnonzero(np.abs(run.y - steady) > band)
+    settling = 0.0
+    if outside.size and outside[-1] + 1 < run.t.size:
+        k = int(outside[-1])
+        level = steady + np.copysign(band, run.y[k] - steady)
+        settling = _crossing(run, k, level) if exact else float(run.t[k + 1])
+    none = band == 0 or abs(steady) <= 1e-9 * abs(peak)
+    if none:
+        return dict(zip(FIGURES, (np.nan, settling, np.nan, np.nan, abs(peak), peak_time), strict=True))
+    sign = np.copysign(1.0, steady)
+    top, low = sign * _extreme(run, sign, exact)[0], sign * _extreme(run, -sign, exact)[0]
+    rise = _first(run, 0.9 * steady, exact) - _first(run, 0.1 * steady, exact)
+    over, under = max(0.0, top / abs(steady) - 1), max(0.0, -low / abs(steady))
+    over = over if over > 1e-9 else 0.0
+    return dict(zip(FIGURES, (rise, settling, over, under, abs(peak), peak_time), strict=True))
+
+
+def _first(run: Run, level: float, exact: bool) -> float:
+    """[s] the first time y reaches the level; zero if it starts beyond it."""
+    beyond = run.y >= level if level > 0 else run.y <= level
+    k = int(np.argmax(beyond))
+    if not beyond[k]:
+        return float("nan")
+    return float(run.t[k]) if k == 0 or not exact else _crossing(run, k - 1, level)
+
+
+def _crossing(run: Run, k: int, level: float) -> float:
+    """[s] where y passes the level between samples k and k + 1."""
+    from scipy.optimize import brentq
+
+    h = float(run.t[k + 1] - run.t[k])
+    if (run.y[k] - level) * (run.y[k + 1] - level) > 0:
+        return float(run.t[k + 1])
+
+    def gap(ahead: float) -> float:
+        return float(run.y[k]) - level if ahead == 0 else float(run.y[k + 1]) - level if ahead == h else run.between(k, ahead)[0] - level
+
+    return float(run.t[k] + brentq(gap, 0.0, h, xtol=1e-13 * max(h, float(run.t[k])), rtol=1e-14))
+
+
+def _extreme(run: Run, sign: float, exact: bool) -> tuple[float, float]:
+    """The largest sign y and its time [s], from the slope's zero between the samples."""
+    from scipy.optimize import brentq
+
+    best = int(np.argmax(sign * run.y))
+    for k in (best - 1, best):
+        if exact and 0 <= k < run.t.size - 1 and run.slope[k] * sign > 0 > run.slope[k + 1] * sign:
+            h = float(run.t[k + 1] - run.t[k])
+            ahead = brentq(lambda d, k=k: run.between(k, d)[1], 0.0, h, xtol=1e-13 * h)
+            value = run.between(k, ahead)[0]
+            if sign * value >= sign * run.y[best]:
+                return value, float(run.t[k] + ahead)
+    return float(run.y[best]), float(run.t[best])

@@ -1,0 +1,129 @@
+"""Step responses: closed forms, python-control, and what isn't defined."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mfc_analysis.analysis.poles import stability
+from mfc_analysis.analysis.steps import Outcome, step
+from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.errors import BadArgument, UnknownName
+from tests.analysis.conftest import open_system, random_loops
+
+s = control.tf("s")
+
+
+def test_a_first_order_loop_rises_and_settles_as_the_exponential_says():
+    found = step(open_system(4 / s), 0, "d", "y")
+    assert found.outcome is Outcome.SETTLES
+    assert_allclose([found.steady_state, found.rise, found.settling], [1, np.log(9) / 4, np.log(50) / 4], rtol=1e-9)
+    assert (found.overshoot, found.undershoot) == (0, 0)
+    assert_allclose(found.y, 1 - np.exp(-4 * found.t), atol=1e-12)
+
+
+@pytest.mark.parametrize("zeta", [0.05, 0.3, 0.7])
+def test_a_second_order_loop_overshoots_as_its_damping_says(zeta):
+    w = 7.0
+    found = step(open_system(w**2 / (s * (s + 2 * zeta * w))), 0, 0, 0)
+    wd = w * np.sqrt(1 - zeta**2)
+    assert_allclose(found.overshoot, np.exp(-zeta * np.pi / np.sqrt(1 - zeta**2)), rtol=1e-8)
+    assert_allclose([found.peak_time, found.peak], [np.pi / wd, 1 + found.overshoot], rtol=1e-6)
+    t = np.linspace(0, found.t[-1], 400_001)
+    y = 1 - np.exp(-zeta * w * t) * (np.cos(wd * t) + zeta * w / wd * np.sin(wd * t))
+    assert_allclose(found.settling, t[np.flatnonzero(np.abs(y - 1) > 0.02)[-1]], atol=2 * t[1])
+
+
+def test_the_figures_do_not_depend_on_the_duration_asked_for():
+    system = open_system(49 / (s * (s + 3)))
+    short, long = step(system, 0, "d", "y", duration=0.1), step(system, 0, "d", "y", duration=100.0)
+    assert short.t[-1] == pytest.approx(0.1) and long.t[-1] == pytest.approx(100.0)
+    assert short.settling == long.settling and short.overshoot == long.overshoot
+
+
+def test_responses_equal_those_of_python_control(rng):
+    system = random_loops(rng, 30, 5, 2)
+    A, B, C, D = close_wires(system)
+    compared = 0
+    for i in np.flatnonzero(stability(system).stable):
+        found = step(system, i, "d", "y")
+        model = control.ss(A[i], B[i], C[i], D[i])
+        truth = control.step_response(model, found.t)
+        assert_allclose(found.y, truth.y[0, 0], atol=1e-9 * np.abs(found.y).max())
+        info = control.step_info(truth.y[0, 0], T=truth.t, yfinal=found.steady_state, SettlingTimeThreshold=0.02)
+        grid = found.t[1]
+        assert_allclose(found.settling, info["SettlingTime"], atol=2 * grid)
+        assert_allclose(100 * found.overshoot, max(0.0, info["Overshoot"]), rtol=1e-3, atol=1e-2)
+        compared += 1
+    assert compared > 3
+
+
+def test_a_response_that_returns_to_zero_settles_within_its_peak_and_has_no_rise():
+    found = step(open_system(3 * s / (s + 1) ** 2), 0, "d", "y")
+    assert found.steady_state == 0
+    assert np.isnan(found.rise) and np.isnan(found.overshoot) and found.settling > 0 and found.peak > 0
+
+
+def test_an_unstable_loop_has_no_figures_but_samples():
+    found = step(open_system(10 / (s**3 + 3 * s**2 + 2 * s)), 0, "d", "y")
+    assert found.outcome is Outcome.GROWS
+    assert all(np.isnan(x) for x in (found.steady_state, found.rise, found.settling, found.overshoot))
+    assert np.isfinite(found.y).all() and "unstable" in str(found)
+
+
+def test_an_integrator_behind_the_loop_ramps():
+    system = driven_integrator()
+    found = step(system, 0, "d", "y")
+    assert found.outcome is Outcome.RAMPS
+    assert found.steady_state == np.inf and found.settling == np.inf and np.isnan(found.rise)
+
+
+def driven_integrator():
+    """x' = -3 x + d, y = its integral: a neutral root that the input drives."""
+    plain = open_system(1 / (s + 1))
+    return replace(
+        plain,
+        A=np.array([[[-3.0, 0], [1, 0]]]),
+        B=np.array([[[1.0, 0], [0, 0]]]),
+        C=np.array([[[0, 1.0], [0, 0]]]),
+        D=np.zeros((1, 2, 2)),
+        state_names=("x", "z"),
+    )
+
+
+def test_fast_and_slow_poles_together_keep_their_figures():
+    found = step(open_system(1e4 / (s * (s + 1e6))), 0, "d", "y")  # poles at -0.01 and -1e6
+    assert_allclose(found.settling, np.log(50) / 0.01, rtol=1e-6)
+
+
+def test_a_fast_response_beside_an_unseen_slow_pole_is_resolved():
+    fast = open_system(1e3 / s)
+    A = np.array([[[0.0, 0], [0, -1e-2]]])
+    slow = replace(fast, A=A, B=np.pad(fast.B, ((0, 0), (0, 1), (0, 0))), C=np.pad(fast.C, ((0, 0), (0, 0), (0, 1))), state_names=("x", "unseen"))
+    assert_allclose(step(slow, 0, "d", "y").settling, np.log(50) / 1e3, rtol=1e-8)
+
+
+def test_a_sampled_loop_steps_from_sample_to_sample():
+    L = control.tf([0.4], [1, -0.9], 0.01)
+    found = step(open_system(L), 0, "d", "y", duration=0.3)
+    truth = control.step_response(L / (1 + L), np.arange(31) * 0.01)
+    assert_allclose(found.y, truth.y[0, 0] if truth.y.ndim > 1 else truth.y, atol=1e-12)
+    assert_allclose(found.t, np.arange(31) * 0.01)
+    assert_allclose(found.steady_state, 0.8)
+
+
+def test_unknown_names_and_bad_numbers_are_refused():
+    system = open_system(4 / s)
+    with pytest.raises(UnknownName, match="'d'"):
+        step(system, 0, "disturbance", "y")
+    with pytest.raises(UnknownName, match="output"):
+        step(system, 0, "d", 3)
+    for bad in (0.0, -1.0, np.nan, "long"):
+        with pytest.raises(BadArgument, match="duration"):
+            step(system, 0, "d", "y", duration=bad)
+    with pytest.raises(BadArgument, match="index"):
+        step(system, 7, "d", "y")
