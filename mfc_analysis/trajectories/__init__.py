@@ -1,6 +1,6 @@
 """References: joint-space and tool-space trajectories, and the way from one to the other."""
 
-from mfc_analysis.trajectories.inverse_kinematics import JointPath, from_tool_path, solve_pose
+from mfc_analysis.trajectories.inverse_kinematics import JointPath, follow, from_tool_path, solve_pose
 from mfc_analysis.trajectories.joint import (
     Hold,
     JointPoint,
@@ -27,6 +27,7 @@ __all__ = [
     "ToolReference",
     "ToolSinusoid",
     "Waypoints",
+    "follow",
     "from_csv",
     "from_tool_path",
     "solve_pose",

@@ -30,7 +30,9 @@ Array = NDArray[np.float64]
 TOLERANCE = 1e-13  #: of the pose error [m and rad] at which Newton stops
 ROUNDING = 1e-10  #: pose error below which a step that doesn't help means that rounding is reached
 ITERATIONS = 100  #: of Newton at one time
-STEP = 0.05  #: largest joint step [rad or m] between two nodes of a followed path
+STEP = 0.08  #: largest joint step [rad or m] between two nodes of a followed path
+JUMP = 1.0  #: joint step [rad or m] that is another solution and not the next place on the path
+FINE, COARSE = 60, 24  #: nodes for each period or duration of a path: to interpolate between, and to start Newton from
 WARN_CONDITION, REFUSE_CONDITION = 1e4, 1e6
 
 
@@ -79,6 +81,8 @@ class JointPath(JointReference):
 
 
 class _Node(NamedTuple):
+    """Joint motion at a time, (n,) each, or at many, (m, n)."""
+
     q: Array
     v: Array
     a: Array
@@ -94,57 +98,47 @@ def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, ti
     Raises ``NotConverged`` (out of reach, or a jump), ``NearSingular`` (condition number of J above 1e6), both with the time, ``BadArgument``.
     Warns (``MfcWarning``) of a condition number above 1e4 and of joint limits.
     """
-    if getattr(tool_ref, "space", None) != "tool":
-        raise BadArgument("tool_ref", tool_ref, "a tool-space reference (ToolHold, ToolLine, ToolSinusoid, ToolCircle)")
     t = checks.times(times)
     if t.size < 2:
         raise BadArgument("times", times, "at least two times [s]")
-    follower = _Follower(robot, tool_ref)
-    q = follower.project(checks.array("q_start", q_start, (robot.n,)), float(t[0]))
-    node = follower.node(q, float(t[0]))
-    kept, nodes = [float(t[0])], [node]
-    for t0, t1 in pairwise(t):
-        for now in np.linspace(t0, t1, follower.substeps(node, float(t0), float(t1)) + 1)[1:]:
-            q = follower.project(follower.advance(node.q, kept[-1], float(now)), float(now), near=node.q)
-            node = follower.node(q, float(now))
-            kept.append(float(now))
-            nodes.append(node)
+    follower = _Follower(robot, _tool(tool_ref))
+    kept, nodes = follower.walk(_start(robot, q_start), t, FINE)
     follower.report()
-    q_all, v_all, a_all = (np.array(x) for x in zip(*nodes, strict=True))
-    path = JointPath(np.array(kept), q_all, v_all, a_all, _closed(tool_ref, t, nodes))
+    path = JointPath(kept, nodes.q, nodes.v, nodes.a, _closed(tool_ref, t, nodes))
     warn_outside_limits(robot, path, path.times)
     return path
 
 
-def follow(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: Array, damping: float = 0.0) -> tuple[Array, Array, Array]:
-    """Joint positions, velocities, accelerations (m, n) of the solution followed from ``q_start`` at t = 0 (or at the first time, if that is before).
+def follow(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike, damping: float = 0.0) -> _Node:
+    """Joint motion (q, v, a), (m, n) each, that carries the tool along ``tool_ref``, exact at these ``times``.
 
-    ``damping`` [-] is that of the Jacobian's inverse where the path comes close to a singularity; 0 refuses there.
-    Raises ``NotConverged`` and ``NearSingular``, with the time.
+    Args:
+        q_start: (n,) [rad or m] near the solution at t = 0, or at ``times[0]`` where that comes before; followed from there.
+        times: (m,) [s], increasing.
+        damping: [-] of the inverse of J, v = J^T (J J^T + damping^2)^-1 V; above 0 nothing is refused near a singularity.
+
+    Raises and warns as ``from_tool_path``, joint limits apart.
     """
-    follower = _Follower(robot, tool_ref, damping=damping)
-    now = min(0.0, float(times[0]))
-    node = follower.node(follower.project(checks.array("q_start", q_start, (robot.n,)), now), now)
-    nodes = []
-    for t in times:
-        if t > now and not tool_ref.is_hold:
-            for later in np.linspace(now, t, follower.substeps(node, now, float(t)) + 1)[1:]:
-                node = follower.node(follower.project(follower.advance(node.q, now, float(later)), float(later), near=node.q), float(later))
-                now = float(later)
-        nodes.append(node)
+    t = checks.times(times)
+    follower = _Follower(robot, _tool(tool_ref), checks.number("damping", damping, low=0.0))
+    first = np.array([min(0.0, float(t[0]))])
+    if tool_ref.is_hold:
+        q = np.repeat(follower.project(_start(robot, q_start)[None], first), t.size, axis=0)
+        return _Node(q, np.zeros_like(q), np.zeros_like(q))
+    end = float(t[-1])
+    known, nodes = follower.walk(_start(robot, q_start), np.append(first, end) if end > first[0] else first, COARSE)
+    guess = nodes.q if known.size == 1 else Piecewise.hermite(known, *nodes).at(t)[0]
+    found = follower.node(follower.project(guess, t), t)
     follower.report()
-    q, v, a = (np.array(x) for x in zip(*nodes, strict=True))
-    return q, v, a
+    return found
 
 
 def solve_pose(robot: Robot, X: Any, q_start: ArrayLike) -> Array:
     """(n,) joints near ``q_start`` that put the tool at the pose X (4x4 or a Pinocchio SE3); ``NotConverged`` where there are none."""
-    target = pose_matrix("X", X)
-    q = checks.array("q_start", q_start, (robot.n,))
-    found, error = _newton(robot, target, q)
-    if found is None:
+    q, error, found = _newton(robot, pose_matrix("X", X), _start(robot, q_start), False)
+    if not found:
         raise NotConverged(_out_of_reach(robot, error, "near q_start"))
-    return found
+    return q
 
 
 @dataclass(eq=False)
@@ -153,51 +147,64 @@ class _Follower:
 
     robot: Robot
     ref: ToolReference
-    worst: tuple[float, float, float] = (0.0, 0.0, 0.0)  # condition number, smallest singular value, time
     damping: float = 0.0
+    worst: tuple[float, float, float] = (0.0, 0.0, 0.0)  # condition number, smallest singular value, time
 
-    def project(self, q: Array, t: float, near: Array | None = None) -> Array:
-        """The joints at which the tool is where the path is, from a guess close by."""
-        found, error = _newton(self.robot, self.ref(t).X, q)
-        if found is None:
-            raise NotConverged(_out_of_reach(self.robot, error, f"at t = {t:.4g} s"))
-        if near is not None and np.abs(found - near).max() > 20 * STEP:
-            raise NotConverged(
-                f"the joint solution jumps by {np.abs(found - near).max():.3g} rad at t = {t:.4g} s: the tool path passes through a singularity"
-            )
-        return found
+    def walk(self, q_start: Array, times: Array, slices: int) -> tuple[Array, _Node]:
+        """Nodes at ``times`` and between them, each followed from the one before."""
+        if self.ref.duration is not None:  # it stands still before 0 and after its end
+            ends = np.array([0.0, self.ref.duration])
+            times = np.unique(np.append(times, ends[(ends > times[0]) & (ends < times[-1])]))
+        t = times[:1]
+        nodes = [self.node(self.project(q_start[None], t), t)]
+        kept = [t]
+        for t0, t1 in pairwise(times):
+            inner = np.linspace(t0, t1, self._substeps(nodes[-1], t0, t1, slices) + 1)
+            for now in inner[1:, None]:
+                last = nodes[-1]
+                q = self.project(self._advance(last, kept[-1], now), now)
+                jump = float(np.abs(q - last.q).max())
+                if jump > JUMP:
+                    raise NotConverged(f"the joints jump by {jump:.3g} rad at t = {now[0]:.4g} s: the tool path passes a singularity")
+                nodes.append(self.node(q, now))
+                kept.append(now)
+        return np.concatenate(kept), _Node(*(np.concatenate(x) for x in zip(*nodes, strict=True)))
 
-    def node(self, q: Array, t: float) -> _Node:
-        """Velocity and acceleration that go with joints on the path."""
+    def project(self, q: Array, t: Array) -> Array:
+        """The joints (m, n) at which the tool is where the path is, from guesses close by."""
+        X = self.ref(t).X
+        for _ in range(4):
+            error = log6(inverse(self.robot.pose(q)) @ X)
+            far = np.abs(error).max(axis=-1)
+            if (far < TOLERANCE).all():
+                return q
+            if (far > 0.1).any():
+                break
+            step = self._inverse(self.robot.jacobian(q), t, quiet=True) @ error[..., None]
+            q = q + step[..., 0]
+            if (far < 1e-8).all():  # Newton's next error is its square
+                return q
+        out = np.array(q)
+        for k in range(t.size):
+            out[k], left, found = _newton(self.robot, X[k], q[k], self.damping > 0)
+            if not found:
+                raise NotConverged(_out_of_reach(self.robot, left, f"at t = {t[k]:.4g} s"))
+        return out
+
+    def node(self, q: Array, t: Array) -> _Node:
+        """Velocity and acceleration that go with joints (m, n) on the path."""
         point = self.ref(t)
         J = self.robot.jacobian(q)
-        pinv = self._pseudo_inverse(J, t)
-        v = pinv @ point.V
-        J_rate = self.robot.jacobian_rate(q, v)
-        a = pinv @ (point.dV - J_rate @ v)
-        if self.robot.n > 6:  # the part of (J^# V)' that J doesn't see
-            null = J_rate.T @ (pinv.T @ v)
+        pinv = self._inverse(J, t)
+        v = pinv @ point.V[..., None]
+        J_rate = self.robot.jacobian_rate(q, v[..., 0])
+        a = pinv @ (point.dV[..., None] - J_rate @ v)
+        if self.robot.n > 6 and self.damping == 0:  # the part of (J^# V)' that J doesn't see
+            null = np.swapaxes(J_rate, -1, -2) @ (np.swapaxes(pinv, -1, -2) @ v)
             a = a + null - pinv @ (J @ null)
-        self._check_followed(J @ v - point.V, J @ a + J_rate @ v - point.dV, point, t)
-        return _Node(q, v, a)
-
-    def advance(self, q: Array, t0: float, t1: float) -> Array:
-        """One Runge-Kutta step of q' = J^# V."""
-        h = t1 - t0
-        k1 = self._rate(q, t0)
-        k2 = self._rate(q + 0.5 * h * k1, t0 + 0.5 * h)
-        k3 = self._rate(q + 0.5 * h * k2, t0 + 0.5 * h)
-        return q + h / 6 * (k1 + 2 * k2 + 2 * k3 + self._rate(q + h * k3, t1))
-
-    def substeps(self, node: _Node, t0: float, t1: float) -> int:
-        """How many nodes an interval needs for joint steps below ``STEP``, and for the path's own time scale."""
-        pinv = self._pseudo_inverse(self.robot.jacobian(node.q), t0)
-        fastest = max(float(np.abs(pinv @ self.ref(t).V).max()) for t in np.linspace(t0, t1, 5))
-        whole = self.ref.period or self.ref.duration
-        slices = 0.0 if whole is None else 60 * (t1 - t0) / whole
-        if not np.isfinite(fastest) or fastest * (t1 - t0) / STEP > 1e5:
-            raise NotConverged(f"the tool path needs joint speeds of {fastest:.3g} rad/s between t = {t0:.4g} and {t1:.4g} s")
-        return max(1, int(np.ceil(1.5 * fastest * (t1 - t0) / STEP)), int(np.ceil(slices - 1e-9)))
+        if self.robot.n < 6 and self.damping == 0:
+            self._check_followed((J @ v)[..., 0] - point.V, (J @ a + J_rate @ v)[..., 0] - point.dV, point, t)
+        return _Node(q, v[..., 0], a[..., 0])
 
     def report(self) -> None:
         """Warn where the Jacobian came close to singular."""
@@ -206,46 +213,86 @@ class _Follower:
             text = f"the Jacobian of frame {self.robot.tool!r} is close to singular at t = {t:.4g} s"
             warnings.warn(f"{text}: smallest singular value {smallest:.3g}, condition number {condition:.3g}", MfcWarning, stacklevel=3)
 
-    def _rate(self, q: Array, t: float) -> Array:
-        point = self.ref(t)
-        V = adjoint(inverse(self.robot.pose(q)) @ point.X) @ point.V  # the path's twist as the tool sees it from where it is
-        return self._pseudo_inverse(self.robot.jacobian(q), t) @ V
+    def _substeps(self, node: _Node, t0: float, t1: float, slices: int) -> int:
+        """How many nodes an interval needs for joint steps below ``STEP``, and for the path's own time scale."""
+        if self.ref.is_hold or (self.ref.duration is not None and (t1 <= 0 or t0 >= self.ref.duration)):
+            return 1
+        pinv = self._inverse(self.robot.jacobian(node.q), np.array([t0]), quiet=True)[0]
+        fastest = float(np.abs(pinv @ self.ref(np.linspace(t0, t1, 9)).V.T).max())
+        whole = self.ref.period or self.ref.duration
+        pieces = 1.0 if whole is None else slices * (t1 - t0) / whole
+        speed = 1.5 * fastest * (t1 - t0) / STEP
+        if not np.isfinite(speed) or max(speed, pieces) > 1e5:
+            raise NotConverged(
+                f"the tool path from t = {t0:.4g} to {t1:.4g} s is too long or too fast to follow: joint speeds of {fastest:.3g} rad/s"
+            )
+        return max(1, int(np.ceil(speed)), int(np.ceil(pieces - 1e-9)))
 
-    def _pseudo_inverse(self, J: Array, t: float) -> Array:
+    def _advance(self, node: _Node, t0: Array, t1: Array) -> Array:
+        """Where the joints are next: by Taylor, or along q' = J^# V (Runge-Kutta) where that also moves them within themselves."""
+        h = t1 - t0
+        if self.robot.n <= 6 or self.damping > 0:
+            return node.q + h * node.v + 0.5 * h * h * node.a
+        k2 = self._rate(node.q + 0.5 * h * node.v, t0 + 0.5 * h)
+        k3 = self._rate(node.q + 0.5 * h * k2, t0 + 0.5 * h)
+        return node.q + h / 6 * (node.v + 2 * k2 + 2 * k3 + self._rate(node.q + h * k3, t1))
+
+    def _rate(self, q: Array, t: Array) -> Array:
+        point = self.ref(t)
+        V = adjoint(inverse(self.robot.pose(q)) @ point.X) @ point.V[..., None]  # the path's twist as the tool sees it from where it is
+        rate: Array = self._inverse(self.robot.jacobian(q), t) @ V
+        return rate[..., 0]
+
+    def _inverse(self, J: Array, t: Array, quiet: bool = False) -> Array:
+        """(m, n, 6) pseudo-inverses; refuses near a singularity (unless damped or ``quiet``) and remembers the worst."""
         U, s, Vt = np.linalg.svd(J, full_matrices=False)
-        condition = float(s[0] / max(s[-1], 1e-300))
-        if condition > REFUSE_CONDITION and not self.damping:
-            raise NearSingular(self.robot.tool, float(s[-1]), condition, t)
-        self.worst = max(self.worst, (condition, float(s[-1]), t))
-        out: Array = (Vt.T * (s / (s * s + self.damping**2))) @ U.T
+        if self.damping > 0:
+            gain = s / (s * s + self.damping**2)
+        elif quiet:
+            gain = s / (s * s + (1e-9 * s[..., :1]) ** 2)
+        else:
+            condition = s[..., 0] / np.maximum(s[..., -1], 1e-300)
+            k = int(np.argmax(condition))
+            self.worst = max(self.worst, (float(condition[k]), float(s[k, -1]), float(t[k])))
+            if condition[k] > REFUSE_CONDITION:
+                raise NearSingular(self.robot.tool, float(s[k, -1]), float(condition[k]), float(t[k]))
+            gain = 1.0 / s
+        out: Array = (np.swapaxes(Vt, -1, -2) * gain[..., None, :]) @ np.swapaxes(U, -1, -2)
         return out
 
-    def _check_followed(self, dV: Array, ddV: Array, point: ToolPoint, t: float) -> None:
-        if self.robot.n < 6:
-            scale = 1.0 + np.abs(point.V).max() + np.abs(point.dV).max()
-            if max(np.abs(dV).max(), np.abs(ddV).max()) > 1e-6 * scale:
-                raise NotConverged(f"{self.robot.n} joints cannot follow the tool path at t = {t:.4g} s: its twist has a part that no joint gives")
+    def _check_followed(self, missed_V: Array, missed_dV: Array, point: ToolPoint, t: Array) -> None:
+        scale = 1.0 + np.abs(point.V).max() + np.abs(point.dV).max()
+        missed = np.maximum(np.abs(missed_V).max(axis=-1), np.abs(missed_dV).max(axis=-1))
+        if missed.max() > 1e-6 * scale:
+            when = float(t[int(np.argmax(missed))])
+            raise NotConverged(f"{self.robot.n} joints cannot follow the tool path at t = {when:.4g} s: its twist has a part that no joint gives")
 
 
-def _newton(robot: Robot, target: Array, q: Array) -> tuple[Array | None, Array]:
-    """Joints at the target (None: not found) and the pose error left, by damped least squares that become Newton's steps near the solution."""
+def _newton(robot: Robot, target: Array, q: Array, least: bool) -> tuple[Array, Array, bool]:
+    """Joints (n,) at the target, the pose error left, and whether they are found (``least``: or the error can't be made smaller).
+
+    Damped least squares that become Newton's steps near the solution.
+    """
     q, mu = np.array(q), 0.0
     error = log6(inverse(robot.pose(q)) @ target)
     for _ in range(ITERATIONS):
         size = float(np.linalg.norm(error))
         if size < TOLERANCE:
-            return q, error
-        U, s, Vt = np.linalg.svd(robot.jacobian(q), full_matrices=False)
-        step = Vt.T @ (s / (s * s + mu + (1e-7 * s[0]) ** 2) * (U.T @ error))
+            return q, error, True
+        J = robot.jacobian(q)
+        if least and np.abs(J.T @ error).max() < 1e-9:
+            return q, error, True
+        U, s, Vt = np.linalg.svd(J, full_matrices=False)
+        step = Vt.T @ (s / (s * s + mu + (1e-9 * s[0]) ** 2) * (U.T @ error))
         step *= min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-300))
         after = log6(inverse(robot.pose(q + step)) @ target)
         if np.linalg.norm(after) < size:
             q, error, mu = q + step, after, (0.0 if mu < 1e-9 else 0.1 * mu)
         elif size < ROUNDING:
-            return q, error
+            return q, error, True
         else:
             mu = max(4.0 * mu, 1e-6)
-    return None, error
+    return q, error, False
 
 
 def _out_of_reach(robot: Robot, error: Array, where: str) -> str:
@@ -256,7 +303,7 @@ def _out_of_reach(robot: Robot, error: Array, where: str) -> str:
     )
 
 
-def _closed(ref: ToolReference, t: Array, nodes: list[_Node]) -> float | None:
+def _closed(ref: ToolReference, t: Array, nodes: _Node) -> float | None:
     """The path's period, where these times span a whole number of it and the joints come back to where they began."""
     if ref.period is None:
         return None
@@ -264,5 +311,15 @@ def _closed(ref: ToolReference, t: Array, nodes: list[_Node]) -> float | None:
     turns = round(span / ref.period)
     if turns < 1 or abs(span - turns * ref.period) > 1e-9 * span:
         return None
-    back = all(np.abs(x - y).max() < 1e-7 * (1 + np.abs(x).max()) for x, y in zip(nodes[0], nodes[-1], strict=True))
-    return span if back else None
+    back = all(np.abs(x[0] - x[-1]).max() < 1e-7 * (1 + np.abs(x).max()) for x in nodes)
+    return ref.period if back else None
+
+
+def _start(robot: Robot, q_start: ArrayLike) -> Array:
+    return checks.array("q_start", np.atleast_1d(np.asarray(q_start)) if np.ndim(q_start) == 0 else q_start, (robot.n,))
+
+
+def _tool(ref: ToolReference) -> ToolReference:
+    if getattr(ref, "space", None) != "tool":
+        raise BadArgument("tool_ref", ref, "a tool-space reference (ToolHold, ToolLine, ToolSinusoid, ToolCircle)")
+    return ref
