@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
@@ -41,6 +41,7 @@ class Linearization:
     point: OperatingPoint
     coordinates: Coordinates
     default_at: str
+    again: Callable[[Array], Linearization]  #: the same loop, operating points and coordinates at other times
 
     # --- matrices ------------------------------------------------------------------------------------------------
 

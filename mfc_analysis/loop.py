@@ -189,7 +189,8 @@ class ClosedLoop:
         t = checks.times(times)
         checks.choice("about", about, ("reference", "equilibrium", "simulation"))
         point = self._point(t, about, simulation)
-        return Linearization(self.equations, point, self._coordinates(coordinates, point), self.default_at)
+        chosen = self._coordinates(coordinates, point)
+        return Linearization(self.equations, point, chosen, self.default_at, lambda other: self.linearize(other, about, chosen, simulation))
 
     def _coordinates(self, asked: Coordinates | None, point: OperatingPoint) -> Coordinates:
         if asked is not None:

@@ -21,7 +21,7 @@ NODES = 0.5 * (1 - np.cos(np.pi * np.arange(9) / 8))
 _WEIGHTS = np.array([0.5, -1, 1, -1, 1, -1, 1, -1, 0.5])
 
 
-class _History:
+class History:
     """A signal recorded segment by segment, looked up by polynomial interpolation; constant before its start."""
 
     def __init__(self, t0: float, first: Array) -> None:
@@ -54,7 +54,7 @@ def run_with_dead_time(run: _Run, asked: Array, x0: Array) -> None:
     start, end = float(asked[0]), float(asked[-1])
     wires = Wires()
     e.flow(start, x0, wires, run.inputs(start), lose_contact=lose)
-    history = {name: _History(start, np.array(value(wires.recorded[name]))) for name in delays}
+    history = {name: History(start, np.array(value(wires.recorded[name]))) for name in delays}
 
     def arriving(t: float) -> dict[str, Vector]:
         return {name: history[name].at(t - d) for name, d in delays.items()}

@@ -1,0 +1,167 @@
+"""Linear prediction against nonlinear simulation: is the linearisation right, and how far does it reach?
+
+A base run starts at the operating point. Runs from disturbed starts are compared with the transition matrices of the loop
+linearised along the base run. If the linearisation is right the remainder shrinks with the square of the disturbance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.floquet import accumulated
+from mfc_analysis.errors import MfcError
+from mfc_analysis.maths import checks
+from mfc_analysis.time_varying import TIGHT, transitions_along
+
+if TYPE_CHECKING:
+    from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+STEPS = 200
+MISFIT = 0.05  #: nrmse up to which the linear model is said to hold
+LARGEST = 3.0  #: [rad, m] largest disturbance tried
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """How well the linear model predicts the nonlinear loop from a disturbed start."""
+
+    time: float  #: [s] length of the runs
+    size: float  #: [rad, m] of the disturbance of each joint
+    taylor_order: float  #: 2.0: the remainder shrinks with the square; inf: no remainder above rounding (the loop is linear)
+    nrmse: float  #: rms(nonlinear - linear) / rms(nonlinear) of the joint deviations, at ``size``
+    radius: float  #: [rad, m] largest size at which nrmse stays below 5 %; inf if it does up to 3
+    sizes: Array  #: (k,) the sizes behind ``taylor_order``
+    remainders: Array  #: (k,) largest |nonlinear - linear| over the run
+    t: Array  #: (N,) [s]
+    nonlinear: Array  #: (N, n) joint deviations of the nonlinear run at ``size``
+    linear: Array  #: (N, n) as the linear model predicts them
+
+    def __str__(self) -> str:
+        reach = "beyond 3" if np.isinf(self.radius) else f"{self.radius:.3g}"
+        return f"Taylor order {self.taylor_order:.3f}; misfit {100 * self.nrmse:.3g} % at {self.size:g} rad; below 5 % up to {reach} rad"
+
+
+def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validation:
+    """The comparison behind ``ClosedLoop.validate``. Raises BadArgument for a time or size that is not positive."""
+    time = checks.number("time", time, low=0.0, strict=True)
+    size = checks.number("size", size, low=0.0, strict=True)
+    x0 = loop.linearize([0.0], coordinates="state").point.x[0]
+    t = _grid(loop, time)
+    base = loop.simulate(t, x=x0, **TIGHT)  # type: ignore[arg-type]
+    if base.diverged:
+        return _nothing(time, size, loop.robot.n)
+    direction = np.zeros(loop.equations.nx)
+    q = loop.equations.parts["q"].where
+    direction[q] = np.random.default_rng(seed).uniform(-1.0, 1.0, loop.robot.n)
+    direction[q] /= np.abs(direction[q]).max()
+    if "theta" in loop.equations.parts:  # motor and link move together
+        direction[loop.equations.parts["theta"].where] = direction[q]
+    predicted = _predict(loop, base, t, direction)
+
+    def compare(size: float, tight: bool = True) -> tuple[Array, Array] | None:
+        try:
+            run = loop.simulate(t, x=x0 + size * direction, **(TIGHT if tight else {"rtol": 1e-7, "atol": 1e-10}))  # type: ignore[arg-type]
+        except MfcError:
+            return None
+        if run.diverged:
+            return None
+        return run.x[:, q] - base.x[:, q], size * predicted[:, q]
+
+    sizes = size * np.array([1.0, 0.5, 0.25])
+    pairs = [compare(s) for s in sizes]
+    remainders = np.array([np.nan if p is None else float(np.abs(p[0] - p[1]).max()) for p in pairs])
+    order = _order(sizes, remainders)
+    here = pairs[0]
+    if here is None:
+        return _nothing(time, size, loop.robot.n)
+    return Validation(time, size, order, misfit(*here), _radius(lambda s: compare(s, tight=False), size), sizes, remainders, t, *here)
+
+
+def misfit(nonlinear: Array, linear: Array) -> float:
+    """rms(nonlinear - linear) / rms(nonlinear)."""
+    return float(np.sqrt(np.mean((nonlinear - linear) ** 2) / max(np.mean(nonlinear**2), 1e-300)))
+
+
+def _grid(loop: ClosedLoop, time: float) -> Array:
+    T = loop.equations.hardware.sample_time
+    if T is None:
+        return np.linspace(0.0, time, STEPS + 1)
+    return float(T) * np.arange(max(round(time / float(T)), 2) + 1)  # type: ignore[arg-type]
+
+
+def _predict(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> Array:
+    """(N, nx) the linear deviation from a unit disturbance, along the base run."""
+    hardware = loop.equations.hardware
+    if hardware.sample_time is not None:
+        return _sampled_prediction(loop, base, t, direction)
+    if hardware.delay is not None or hardware.force_delay is not None:
+        from mfc_analysis.delayed_prediction import delayed_prediction
+
+        return delayed_prediction(loop, base, t, direction)
+    return accumulated(transitions_along(loop, base, t)) @ direction
+
+
+def _sampled_prediction(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> Array:
+    lin = loop.linearize(t[:-1], about="simulation", simulation=base, coordinates="state")
+    opened, nx = lin.opened, loop.equations.nx
+    x = np.zeros(opened.nx)
+    x[:nx] = direction
+    # samples under way at the start carry what the law commands (the sensor reads) at the disturbed start
+    first = opened.C[0, opened.ny :, :] @ x
+    for i, name in enumerate(opened.state_names[nx:], start=nx):
+        point, _, channel = name.partition("[")
+        wires = opened.wires[point.strip("_ ")]
+        j = opened.wire_names[wires].index(channel.partition("]")[2].strip("_ "))
+        x[i] = first[wires.start + j]
+    out = np.empty((len(t), nx))
+    for k, A in enumerate(lin.A):
+        out[k] = x[:nx]
+        x = A @ x
+    out[-1] = x[:nx]
+    return out
+
+
+def _order(sizes: Array, remainders: Array) -> float:
+    if not np.isfinite(remainders).all():
+        return float("nan")
+    floor = 1e-8 * sizes
+    if np.all(remainders <= floor):
+        return float("inf")
+    return float(np.log2(remainders[0] / remainders[1])) if remainders[2] <= 3 * floor[2] else float(np.log2(remainders[1] / remainders[2]))
+
+
+def _radius(compare: Callable[[float], tuple[Array, Array] | None], size: float) -> float:
+    def holds(s: float) -> bool:
+        pair = compare(s)
+        return pair is not None and misfit(*pair) < MISFIT
+
+    low = size
+    while not holds(low):
+        low /= 4
+        if low < 1e-6 * size:
+            return 0.0
+    high = low
+    while high < LARGEST:
+        high = min(2 * high, LARGEST)
+        if not holds(high):
+            break
+        low = high
+    if low >= LARGEST:
+        return float("inf")
+    for _ in range(6):
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def _nothing(time: float, size: float, n: int) -> Validation:
+    nan = float("nan")
+    return Validation(time, size, nan, nan, 0.0, np.zeros(0), np.zeros(0), np.zeros(1), np.full((1, n), nan), np.full((1, n), nan))
