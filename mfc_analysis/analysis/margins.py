@@ -226,6 +226,19 @@ def frequency(w: Array, dt: float) -> Array:
     return np.asarray(2 * np.arctan(w) / dt) if dt else w
 
 
+def dc_sensitivity(ch: Channels, zeros: NDArray[np.int64]) -> Array:
+    """S_i(0) - 1 (m, n), the ``zeros`` (m,) roots at zero taken out; NaN where a channel sees them after all."""
+    out = np.full(ch.H0.shape, np.nan)
+    for count in np.unique(zeros):
+        some = np.flatnonzero(zeros == count)
+        if not count:
+            out[some] = _at_zero(ch.at(some))
+            continue
+        clean, seen = _without_zeros(ch.at(some))
+        out[some] = np.where(seen, np.nan, _at_zero(clean))
+    return out
+
+
 def _at_zero(ch: Channels) -> Array:
     """S_i(0) - 1 (m, n); -1 exactly where an integrator makes S vanish, 0 exactly where L does."""
     try:
