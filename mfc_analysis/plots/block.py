@@ -42,7 +42,7 @@ def block(
     ax.set_axis_off()
     left, right = 1.25, width - 0.75
     step = (right - left) / len(chain)
-    box = step - 0.36
+    box = step - 0.34
     _arrow(ax, (0.1, _TOP), (0.93, _TOP))
     sheet.note(ax, reference, (0.1, _TOP + 0.14))
     ax.plot([1.02], [_TOP], marker="o", markersize=13, markerfacecolor="none", markeredgecolor=sheet.INK, markeredgewidth=0.9)
@@ -73,7 +73,7 @@ def _box(ax: Axes, x: float, width: float, text: str) -> None:
     from matplotlib.patches import Rectangle
 
     ax.add_patch(Rectangle((x, _TOP - _BOX / 2), width, _BOX, facecolor="none", edgecolor=sheet.INK, linewidth=1.0))
-    room = max(int(width / 0.066), 4)
+    room = max(int(width / 0.0615), 4)
     lines = [line if len(line) <= room else line[: room - 1] + "…" for line in text.split("\n")[:2]]
     sheet.note(ax, "\n".join(lines), (x + width / 2, _TOP), ha="center")
 

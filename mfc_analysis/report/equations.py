@@ -15,6 +15,7 @@ Element = ElementTree.Element
 
 _ACCENTS = {"\u0307": "\u02d9", "\u0308": "\u00a8", "\u0302": "\u02c6", "\u0303": "\u02dc", "\u0304": "\u00af", "\u0305": "\u00af"}
 _FENCES = frozenset("()[]{}|‖")
+_LARGE = frozenset("∫∑∏")
 _TALL = frozenset(("mfrac", "mtable", "munder", "mover", "munderover", "msqrt", "mroot"))
 
 
@@ -69,4 +70,4 @@ def _walk(node: Element) -> None:
 def _tall(node: Element) -> bool:
     if node.tag == "mover" and node.get("accent") == "true":
         return any(_tall(c) for c in node)
-    return node.tag in _TALL or any(_tall(c) for c in node)
+    return node.tag in _TALL or (node.tag == "mo" and node.text in _LARGE) or any(_tall(c) for c in node)

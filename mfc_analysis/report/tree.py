@@ -132,7 +132,7 @@ class _Builder:
     def _key(self, section: s.Section) -> None:
         if id(section) in self.keys:
             return
-        stem = slug(section.key or (f"{section.loop} {section.title}" if section.loop and section.loop != section.title else section.title))
+        stem = slug(section.key or (f"{section.loop} {section.title}" if section.loop and section.loop not in section.title else section.title))
         key, k = stem, 2
         while key in self.taken:
             key, k = f"{stem}-{k}", k + 1
@@ -182,14 +182,15 @@ class _Builder:
 
     def _cell(self, cell: s.Cell) -> dict[str, Any]:
         if isinstance(cell, s.Status):
-            return {"spans": [{"k": "text", "t": cell.value}], "status": cell.value, "sign": SIGNS[cell.value]}
+            return {"spans": [{"k": "text", "t": cell.value}], "status": cell.value, "sign": SIGNS[cell.value], "bare": False}
         if isinstance(cell, s.Number):
             cell = str(cell)
         elif isinstance(cell, complex):
             cell = complex_written(cell)
         elif isinstance(cell, (int, float)) and not isinstance(cell, bool):
             cell = s.written(cell) if isinstance(cell, float) else str(cell).replace("-", "\N{MINUS SIGN}")
-        return {"spans": self._text(cell if isinstance(cell, (str, tuple, s.Math, s.Mono, s.Strong, s.Link)) else str(cell)), "status": ""}
+        spans = self._text(cell if isinstance(cell, (str, tuple, s.Math, s.Mono, s.Strong, s.Link)) else str(cell))
+        return {"spans": spans, "status": "", "sign": "", "bare": all(x["k"] == "math" for x in spans)}
 
     # --- blocks --------------------------------------------------------------------------------------------------
 

@@ -5,14 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 from functools import partial
-from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-import kinds
-import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
@@ -21,6 +17,7 @@ from mfc_analysis.errors import UnknownName
 from mfc_analysis.plots import figure as sheet
 from mfc_analysis.plots.batch import drawn
 from mfc_analysis.plots.frequency import phase_deg
+from tests.plots import kinds
 
 KINDS = kinds.every_kind()
 

@@ -9,8 +9,10 @@ import numpy as np
 
 from mfc_analysis import plots
 from mfc_analysis.report.section import (
+    Callout,
     Check,
     Column,
+    Compare,
     Document,
     Equation,
     Fact,
@@ -23,6 +25,7 @@ from mfc_analysis.report.section import (
     Scope,
     Scrubber,
     Section,
+    Side,
     Status,
     Symbol,
     Table,
@@ -125,8 +128,8 @@ def document(overshoot: float = 15.9, title: str = "Joint 3 position loop") -> D
                 "1",
             ),
             Equation(
-                r'bold(M)(bold(q)) dot.double(bold(q)) + bold(C)(bold(q), dot(bold(q))) dot(bold(q)) + '
-                    r'hat(bold(g))(bold(q)) = bold(tau) + bold(J)^top bold(f)_"ext"',
+                r"bold(M)(bold(q)) dot.double(bold(q)) + bold(C)(bold(q), dot(bold(q))) dot(bold(q)) + "
+                r'hat(bold(g))(bold(q)) = bold(tau) + bold(J)^top bold(f)_"ext"',
                 "equation of motion",
                 "2",
             ),
@@ -176,4 +179,52 @@ def document(overshoot: float = 15.9, title: str = "Joint 3 position loop") -> D
         Scope(("URDF of the arm, 2 kg payload",), ("rigid joints",), ("201 points of the path",), ("joint flexibility",)),
         Provenance((("mfc_analysis", "0.1.0"), ("Input SHA-256", "224902f45ecebf18")), "mfc-analysis report joint3.toml"),
         (Symbol(Math("K_p"), "proportional gain", "Nm/rad"), Symbol(Math("dot(q)"), "joint rates", "rad/s")),
+    )
+
+
+def one_loop(name: str, phase: float, asked: float = 45.0) -> Section:
+    """A loop's section with one figure and two checks: unstable if ``phase`` is NaN."""
+    status = Status.PASS if phase >= asked else Status.FAIL
+    found = (
+        Check("phase margin", asked, phase, "°", phase - asked, status, "elbow", 0.75),
+        Check(
+            "gain reduction", 6.0, 19.08 if phase == phase else float("nan"), "dB", 13.08 if phase == phase else float("nan"), status, "elbow", 0.75
+        ),
+    )
+    values = np.array([-3.0 + 4j, -3.0 - 4j, -5.0]) if phase == phase else np.array([1.0, -3.0])
+    return Section(
+        f"Computed torque: {name}",
+        (f"{name}: the phase margin is ", str(found[0].value), ", where ", Math("phi_m >= 45 degree"), " was asked."),
+        (
+            Equation(
+                r"tau = hat(M)(q)(dot.double(q)_d + K_p e + K_i integral e + K_d dot(e)) + hat(h)(q, dot(q))",
+                "torque of computed torque control",
+                "9.10",
+            ),
+            Figure(partial(plots.poles, values), "Poles.", f"Pole map of {name}: slowest pole {values[0].real:.3g} per second."),
+        ),
+        found,
+        {"phase": phase, "poles": values},
+        ("chapter, eq. 9.10",),
+        loop=name,
+    )
+
+
+def side(title: str, status: Status, source: str, phase: float, poles: np.ndarray) -> Side:
+    facts = KeyFacts((Fact("Phase margin", Number(phase, "°", undefined="unstable")),))
+    drawing = Figure(partial(plots.poles, poles), "Poles.", f"Pole map, {title}: rightmost pole {poles.max():.3g} per second.")
+    return Side(title, status, (Equation(source, f"9.10 {title}", "9.10"), facts, drawing))
+
+
+def misprint() -> Section:
+    printed = side("As printed", Status.FAIL, r"tau = hat(M) a + hat(h)(q_d, dot(q)_d)", float("nan"), np.array([0.4, -3.0]))
+    standard = side("Standard", Status.PASS, r"tau = hat(M) a + hat(h)(q, dot(q))", 62.0, np.array([-3.0, -5.0]))
+    remark = Callout(Status.WATCH, "Read this", "The printed form is kept as form='printed'.")
+    return Section("What the misprint of 9.10 costs", body=(Compare(printed, standard, "Every margin: the printed form is unstable."), remark))
+
+
+def chapter(phase: float = 62.0, hostile: str = "UR5 + 2 kg") -> Document:
+    sections = (one_loop(hostile, 51.2), one_loop("single joint", phase), one_loop("planar 2R", 47.0), misprint())
+    return Document(
+        "Motion control", "Equations 9.1 to 9.13", sections, "chapter", provenance=Provenance((("python", "3.11"),), "mfc-analysis report")
     )

@@ -1,0 +1,80 @@
+"""Banner, matrix and worst case follow from the checks, in every format at once."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from mfc_analysis.report.section import Check, Document, Section, Status
+from mfc_analysis.report.verdict import matrix, requirements, verdict
+from mfc_analysis.report.write import rendered
+from tests.report import samples
+
+NAN = float("nan")
+
+
+def test_a_gain_that_makes_a_loop_unstable_changes_banner_matrix_section_and_json():
+    good, bad = (rendered(samples.chapter(phase), ("html", "json")) for phase in (62.0, NAN))
+    page, data = bad["html"].decode(), json.loads(bad["json"])
+    assert "PASS: All 6 checks are met" in good["html"].decode()
+    assert "FAIL: 2 of 6 checks are missed" in page
+    assert (data["verdict"]["status"], json.loads(good["json"])["verdict"]["status"]) == ("FAIL", "FAIL")
+    section = next(x for x in data["sections"] if x["loop"] == "single joint")
+    assert section["status"] == "FAIL"
+    assert section["checks"][0]["found"] == "unstable" and section["numbers"]["phase"] == "not defined"
+    assert '<a class="cell fail" href="#computed-torque-single-joint">' in page
+    assert "unstable" in data["verdict"]["detail"] and "single joint" in data["verdict"]["detail"]
+
+
+def test_the_worst_check_is_the_one_farthest_beyond_its_limit():
+    found = verdict(samples.chapter(30.0))
+    assert found.check.found == 30.0 and found.section.loop == "single joint"
+    assert found.sentence == "2 of 6 checks are missed"
+
+
+def test_without_a_miss_the_tightest_check_is_named():
+    found = verdict(samples.chapter(62.0))
+    assert (found.status, found.section.loop) == (Status.PASS, "planar 2R")
+    assert found.detail.startswith("Tightest: phase margin of planar 2R: 47.0° against at least 45°")
+
+
+def test_nothing_asked_is_no_pass():
+    found = verdict(Document("t", "s", (Section("one"),)))
+    assert found.status is Status.INFO and "Nothing was asked" in found.sentence
+
+
+def test_a_section_with_a_verdict_of_its_own_keeps_the_banner_from_passing():
+    checks = (Check("x", 1.0, 2.0, "", 1.0, Status.PASS),)
+    found = verdict(Document("t", "s", (Section("one", checks=checks), Section("two", verdict=Status.WATCH))))
+    assert found.status is Status.WATCH and "reservation" in found.sentence
+
+
+def test_every_cell_of_the_matrix_leads_to_the_section_of_its_check():
+    document = samples.chapter()
+    keys = {id(s): f"key-{i}" for i, s in enumerate(document.sections)}
+    found = matrix(document, keys)
+    assert found.columns == ("phase margin", "gain reduction")
+    assert [(name, cells[0].target) for name, _, cells in found.rows] == [("UR5 + 2 kg", "key-0"), ("single joint", "key-1"), ("planar 2R", "key-2")]
+
+
+def test_two_checks_in_one_cell_show_the_worse():
+    good, bad = (Check("x", 1.0, 1 + d, "", d, s) for d, s in ((1.0, Status.PASS), (-0.5, Status.FAIL)))
+    sections = (Section("a", checks=(good,), loop="L"), Section("b", checks=(bad,), loop="L"))
+    found = matrix(Document("t", "s", sections), {id(s): s.title for s in sections})
+    assert found.rows[0][2][0].status is Status.FAIL and found.rows[0][2][0].target == "b"
+
+
+def test_a_document_without_loops_has_no_matrix():
+    assert matrix(Document("t", "s", (Section("a"),)), {}) is None
+
+
+def test_requirements_are_listed_failures_first():
+    table = requirements(samples.document().sections[0])
+    assert table.rows[0][0] == "overshoot"
+    assert [row[3] for row in table.rows] == [Status.FAIL, Status.PASS, Status.PASS, Status.PASS]
+
+
+@pytest.mark.parametrize("overshoot", [9.99, 10.01])
+def test_the_banner_turns_exactly_where_a_check_does(overshoot):
+    assert verdict(samples.document(overshoot)).status is (Status.PASS if overshoot < 10 else Status.FAIL)
