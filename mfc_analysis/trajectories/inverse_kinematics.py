@@ -51,6 +51,8 @@ class JointPath(JointReference):
     _path: Piecewise = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        for values in (self.times, self.q, self.v, self.a):
+            values.setflags(write=False)
         object.__setattr__(self, "_path", Piecewise.hermite(self.times, self.q, self.v, self.a))
 
     @property

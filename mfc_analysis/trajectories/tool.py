@@ -45,26 +45,24 @@ class _Turning:
 
     R0: Array
     axis: Array
+    W: Array
     R0W: Array
     R0W2: Array
 
     @staticmethod
     def about(R0: Array, axis: Array) -> _Turning:
         W = hat(axis)
-        return _Turning(R0, axis, R0 @ W, R0 @ W @ W)
+        return _Turning(R0, axis, W, R0 @ W, R0 @ W @ W)
 
     def point(self, m: _Motion) -> ToolPoint:
         X = np.zeros((*m.angle.shape, 4, 4))
-        angle = m.angle[..., None, None]
+        angle, rate = m.angle[..., None, None], m.dangle[..., None]
         X[..., :3, :3] = R = self.R0 + np.sin(angle) * self.R0W + (1.0 - np.cos(angle)) * self.R0W2
         X[..., :3, 3], X[..., 3, 3] = m.p, 1.0
         V, dV = np.empty((*m.angle.shape, 6)), np.empty((*m.angle.shape, 6))
         V[..., :3] = v = (m.dp[..., None, :] @ R)[..., 0, :]
-        V[..., 3:] = w = m.dangle[..., None] * self.axis
-        dV[..., :3] = (m.ddp[..., None, :] @ R)[..., 0, :]
-        dV[..., 0] -= w[..., 1] * v[..., 2] - w[..., 2] * v[..., 1]
-        dV[..., 1] -= w[..., 2] * v[..., 0] - w[..., 0] * v[..., 2]
-        dV[..., 2] -= w[..., 0] * v[..., 1] - w[..., 1] * v[..., 0]
+        V[..., 3:] = rate * self.axis
+        dV[..., :3] = (m.ddp[..., None, :] @ R)[..., 0, :] + rate * (v @ self.W)  # v @ W = v x axis
         dV[..., 3:] = m.ddangle[..., None] * self.axis
         return ToolPoint(X, V, dV)
 
@@ -242,7 +240,8 @@ class ToolCircle(ToolReference):
     def _at(self, t: Array) -> ToolPoint:
         w, r = self.frequency, self.radius
         angle = (w * t)[..., None]
-        out, round_ = np.cos(angle) * self._u + np.sin(angle) * self._w, np.cos(angle) * self._w - np.sin(angle) * self._u
+        cos, sin = np.cos(angle), np.sin(angle)
+        out, round_ = cos * self._u + sin * self._w, cos * self._w - sin * self._u
         still = np.zeros(t.shape)
         return self._turning.point(_Motion(self.X0[:3, 3] + r * (out - self._u), r * w * round_, -r * w * w * out, still, still, still))
 
