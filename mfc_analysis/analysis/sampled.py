@@ -1,0 +1,191 @@
+r"""The loop with a sampled controller: exact at the sampling instants.
+
+Every ``sample_time`` h the controller reads its measurements, computes, and holds its torque (velocity) until the next sample::
+
+    torque(k) --> [dead time] --> hold --> plant, continuous --> position, rate, force --> [dead time of the force] --> measured at t_k
+
+- The plant is advanced by its matrix exponential under the held torque; a dead time of d + f samples adds d (+ 1) held values as states,
+  with the switch inside the sample where it falls. No Pade, no "half a sample of delay".
+- The force measured through a dead time is the force at t_k - T: between samples the plant's own solution, then a register.
+- The controller's states obey their own linear differential equations with their measurements held over the sample: an integral becomes a
+  forward sum, filters and linear outer loops their zero-order-hold equivalents.
+- External inputs are held over the sample too; outputs are those at t_k.
+
+With all wires cut the plant sees the controller through the torque (velocity) wires only; this is checked.
+
+Source: Astrom & Wittenmark, Computer-Controlled Systems, chapter 3 (sampling of systems with time delay).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.errors import Unsupported
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.expm import expm_integral
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+WHOLE = 1e-9  #: a dead time this close to whole samples is whole
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Where everything stands in Z = [states; registers; inputs]."""
+
+    plant: Ints  #: plant states in Z
+    control: Ints  #: controller states in Z
+    external: Ints  #: external inputs in Z
+    wires: Ints  #: (nw,) wire inputs in Z
+    drive: Ints  #: (nd,) driving wires (torque or velocity) among the nw
+    whole: Ints  #: (nw,) whole samples of dead time
+    part: Array  #: (nw,) fraction of a sample beyond them
+    first: Ints  #: (nw,) first register of each wire in Z, -1 without
+    size: int  #: of Z
+    registers: int
+
+    def past(self, wire: int, samples: int) -> int:
+        """Where in Z the value stands that was put into a driving wire so many samples ago."""
+        return int(self.wires[wire] if samples == 0 else self.first[wire] + samples - 1)
+
+
+def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
+    """The loop as its sampled controller sees it: discrete (``dt`` = ``sample_time`` [s]), dead time inside, wires still cut.
+
+    States keep their order and names; behind them come the held values of dead times, "torque[-1] joint" one sample old and so on. The
+    points stay those of the continuous loop except "position": its rate wire has no exact sampled counterpart of "s times the position",
+    so that the encoder is not opened in a sampled loop.
+
+    Raises ``BadArgument`` for a sample time that is not positive, ``Unsupported`` where the controller reaches the plant past its torque
+    (velocity) wires, where another wire than these or "force" has dead time, or where the loop is sampled already.
+    """
+    h = checks.number("sample_time", sample_time, low=0.0, strict=True)
+    layout = _layout(system, h)
+    nx, nu, ny = system.nx, system.nu, system.ny
+    Z = np.zeros((len(system.times), nx + layout.registers, layout.size))
+    Z[:, layout.plant] = _advanced(system, layout, h, h)
+    Z[:, layout.control] = _controlled(system, layout, h)
+    rows = np.zeros((len(system.times), ny + system.nw, layout.size))
+    rows[:, :, :nx] = system.C
+    rows[:, :, layout.external] = system.D[:, :, :nu]
+    _add_wires(rows, system.D[:, :, nu:], layout, at_end=False)
+    for wire in np.flatnonzero(layout.first >= 0):
+        start, depth = int(layout.first[wire]), int(layout.whole[wire] + (layout.part[wire] > 0))
+        Z[:, np.arange(start + 1, start + depth), np.arange(start, start + depth - 1)] = 1.0
+        if wire in layout.drive:
+            Z[:, start, layout.wires[wire]] = 1.0
+            continue
+        Z[:, start] = _seen(system, layout, int(wire), h) if layout.part[wire] > 0 else rows[:, ny + wire]
+        rows[:, ny + wire] = 0.0
+        rows[:, ny + wire, start + depth - 1] = 1.0
+    n = nx + layout.registers
+    return replace(
+        system,
+        A=np.ascontiguousarray(Z[:, :, :n]),
+        B=np.ascontiguousarray(Z[:, :, n:]),
+        C=np.ascontiguousarray(rows[:, :, :n]),
+        D=np.ascontiguousarray(rows[:, :, n:]),
+        state_names=system.state_names + _names(system, layout),
+        wire_delay=np.zeros(system.nw),
+        points=tuple(point for point in system.points if point != "position"),
+        plant_states=tuple(system.plant_states) + tuple(range(nx, n)),
+        dt=h,
+    )
+
+
+def _layout(system: OpenSystem, h: float) -> _Layout:
+    if system.dt:
+        raise Unsupported("sample_time", h, f"a continuous loop; this one is sampled already, every {system.dt:g} s")
+    nx, nu, nw = system.nx, system.nu, system.nw
+    plant = np.array(sorted(system.plant_states), int)
+    control = np.setdiff1d(np.arange(nx), plant)
+    name = next((point for point in ("torque", "velocity") if point in system.wires), None)
+    if name is None or plant.size == 0:
+        raise Unsupported("sample_time", h, "a loop whose plant is driven through torque or velocity wires")
+    drive = np.arange(nw)[system.wires[name]]
+    past_wires = np.abs(system.A[:, plant[:, None], control]).max(initial=0.0)
+    others = nu + np.setdiff1d(np.arange(nw), drive)
+    past_wires = max(past_wires, np.abs(system.B[:, plant[:, None], others]).max(initial=0.0))
+    seen = system.C[:, system.ny + np.arange(nw)[system.wires["force"]]][:, :, control] if "force" in system.wires else np.zeros(1)
+    if past_wires > 1e-12 * (1 + np.abs(system.A).max(initial=0.0)) or np.any(seen):
+        raise Unsupported("sample_time", h, f"a loop whose controller reaches the plant through its {name} wires only")
+    samples = system.wire_delay / h
+    whole = np.floor(samples + WHOLE).astype(int)
+    part = np.where(samples - whole > WHOLE, samples - whole, 0.0)
+    depth = whole + (part > 0)
+    allowed = np.isin(np.arange(nw), drive)
+    if "force" in system.wires:
+        allowed[system.wires["force"]] = True
+    if np.any(depth[~allowed]):
+        raise Unsupported("sample_time", h, f"dead time on the {name} and force wires only")
+    registers = int(depth.sum())
+    first = np.where(depth > 0, nx + np.cumsum(depth) - depth, -1)
+    external, wires = nx + registers + np.arange(nu), nx + registers + nu + np.arange(nw)
+    return _Layout(plant, control, external, wires, drive, whole, part, first, nx + registers + nu + nw, registers)
+
+
+def _advanced(system: OpenSystem, layout: _Layout, h: float, time: float) -> Array:
+    """The plant ``time`` into the sample (0 < time <= h), (m, np, size of Z): held torques switch where their dead time says."""
+    p, nu = layout.plant, system.nu
+    A = system.A[:, p[:, None], p]
+    out = np.zeros((len(A), p.size, layout.size))
+    Phi, Gamma = expm_integral(A, system.B[:, p, :nu], time)
+    out[:, :, p], out[:, :, layout.external] = Phi, Gamma
+    for part in np.unique(layout.part[layout.drive]):
+        some = layout.drive[layout.part[layout.drive] == part]
+        B = system.B[:, p[:, None], nu + some]
+        old_for = min(part * h, time)  # the older value acts first, the newer for the rest
+        Phi, new = expm_integral(A, B, time - old_for)
+        old = Phi @ expm_integral(A, B, old_for)[1]
+        for column, wire in enumerate(some):
+            whole = int(layout.whole[wire])
+            out[:, :, layout.past(wire, whole)] += new[:, :, column]
+            if part > 0:
+                out[:, :, layout.past(wire, whole + 1)] += old[:, :, column]
+    return out
+
+
+def _controlled(system: OpenSystem, layout: _Layout, h: float) -> Array:
+    """The controller's states a sample later, (m, nc, size of Z): its measurements held."""
+    c, p, nu = layout.control, layout.plant, system.nu
+    held = np.zeros((len(system.A), c.size, layout.size))
+    held[:, :, p] = system.A[:, c[:, None], p]
+    held[:, :, layout.external] = system.B[:, c, :nu]
+    _add_wires(held, system.B[:, c, nu:], layout, at_end=False)
+    Phi, Gamma = expm_integral(system.A[:, c[:, None], c], held, h)
+    Gamma[:, :, c] += Phi
+    return Gamma
+
+
+def _seen(system: OpenSystem, layout: _Layout, wire: int, h: float) -> Array:
+    """What a delayed sensor will report: its signal (1 - part) h into the sample, (m, size of Z)."""
+    time = (1 - layout.part[wire]) * h
+    row = system.ny + wire
+    out = (system.C[:, row : row + 1, layout.plant] @ _advanced(system, layout, h, time))[:, 0]
+    out[:, layout.external] += system.D[:, row, : system.nu]
+    rows = out[:, None, :]
+    _add_wires(rows, system.D[:, row : row + 1, system.nu :], layout, at_end=time >= np.max(layout.part[layout.drive], initial=0.0) * h)
+    return rows[:, 0]
+
+
+def _add_wires(rows: Array, D: Array, layout: _Layout, *, at_end: bool) -> None:
+    """Direct terms of the wires: what acts is the delayed value, at the start of the sample or (``at_end``) after its switch."""
+    for wire in range(D.shape[-1]):
+        place = layout.wires[wire]
+        if wire in layout.drive:
+            place = layout.past(wire, int(layout.whole[wire]) + int(layout.part[wire] > 0 and not at_end))
+        rows[:, :, place] += D[:, :, wire]
+
+
+def _names(system: OpenSystem, layout: _Layout) -> tuple[str, ...]:
+    point = {int(w): name for name, where in system.wires.items() for w in np.arange(system.nw)[where]}
+    found = []
+    for wire in np.flatnonzero(layout.first >= 0):
+        depth = int(layout.whole[wire] + (layout.part[wire] > 0))
+        found += [f"{point[int(wire)]}[-{k}] {system.wire_names[wire]}" for k in range(1, depth + 1)]
+    return tuple(found)
