@@ -93,15 +93,6 @@ def test_equations_are_set_in_the_font_that_the_page_carries(tmp_path):
 
 def test_dark_pages_have_light_ink(tmp_path):
     script = "const c = getComputedStyle(document.body); return [c.color, c.backgroundColor]"
-    colours = [
-        asked(
-            tmp_path,
-            samples.chapter(),
-            "const c = getComputedStyle(document.body); return [c.color, c.backgroundColor]",
-            1250,
-            f"--blink-settings=preferredColorScheme={k}",
-        )
-        for k in (0, 1)
-    ]
+    colours = [asked(tmp_path, samples.chapter(), script, 1250, f"--blink-settings=preferredColorScheme={k}") for k in (0, 1)]
     dark, light = ([sum(map(int, re.findall(r"\d+", c))) for c in pair] for pair in colours)
     assert dark[0] > dark[1] and light[0] < light[1]
