@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.errors import BadArgument, BadRobot, UnknownName
 from mfc_analysis.maths import checks
@@ -168,6 +168,21 @@ def body(mass: float, com: Array, inertia: Array) -> pin.Inertia:
     out = pin.Inertia.Zero()
     out.mass, out.lever, out.inertia = mass, np.array(com, float), np.array(inertia, float)
     return out
+
+
+def rotational_inertia(inertia: ArrayLike) -> Array:
+    """(3, 3) from a scalar or a symmetric positive matrix [kg m^2]; ``BadArgument`` otherwise."""
+    I = checks.array("inertia", inertia)
+    takes = "a scalar >= 0 or a symmetric positive (3, 3) matrix [kg m^2], about the com in tool axes"
+    if I.shape not in ((), (3, 3)):
+        raise BadArgument("inertia", f"shape {I.shape}", takes)
+    full = np.array(I * np.eye(3) if I.ndim == 0 else I)
+    scale = float(np.abs(full).max())
+    if not np.allclose(full, full.T, rtol=0, atol=1e-9 * scale) or np.linalg.eigvalsh(full)[0] < -1e-9 * scale:
+        raise BadArgument("inertia", inertia, takes)
+    full = 0.5 * (full + full.T)
+    full.setflags(write=False)
+    return full
 
 
 def upper_to_full(M: Array) -> Array:

@@ -76,8 +76,10 @@ def rp(masses: ArrayLike = (4.0, 1.0), inertias: ArrayLike = (0.1, 0.02), com_di
         masses: (m1, m2) [kg]. inertias: (I1, I2) [kg m^2] about the coms, axis z. com_distance: r [m]. gravity: [m/s^2].
     """
     m, I = checks.array("masses", masses, (2,)), checks.array("inertias", inertias, (2,))
-    if np.any(m < 0) or m[1] <= 0 or np.any(I < 0):
-        raise BadArgument("masses", masses, "two masses >= 0, the second > 0, and two inertias >= 0")
+    if np.any(m < 0) or m[1] == 0:
+        raise BadArgument("masses", masses, "two masses [kg] >= 0, the second > 0")
+    if np.any(I < 0):
+        raise BadArgument("inertias", inertias, "two inertias [kg m^2] >= 0")
     r = checks.number("com_distance", com_distance)
     model = _planar("rp", gravity)
     first = _add(model, 0, "theta", pin.JointModelRZ(), (0, 0, 0), _flat(m[0], (r, 0, 0), I[0]))

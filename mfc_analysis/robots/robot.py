@@ -209,7 +209,7 @@ class Robot:
         """
         mass = checks.number("mass", mass, low=0.0)
         com = checks.array("com", com, (3,))
-        I = _rotational_inertia(inertia)
+        I = build.rotational_inertia(inertia)
         frame = self.model.frames[self.frame_id]
         model = pin.Model(self.model)
         model.inertias[frame.parentJoint] += frame.placement.act(build.body(mass, com, I))
@@ -351,8 +351,9 @@ class Robot:
         """
         checks.choice("frame", frame, ("tool", "world"))
         F = checks.array("wrench", wrench)
-        if F.ndim == 0 or F.shape[-1] != 6:
-            raise BadArgument("wrench", f"shape {F.shape}", "shape (..., 6): force and moment")
+        x = self._joints("q", q)
+        if F.ndim == 0 or F.shape[-1] != 6 or not _compatible(F.shape[:-1], x.shape[:-1]):
+            raise BadArgument("wrench", f"shape {F.shape}", f"shape (..., 6), force and moment, with leading axes that go with q of shape {x.shape}")
         if frame == "world":
             R = self.pose(q)[..., :3, :3]
             F = np.concatenate([(np.swapaxes(R, -1, -2) @ F[..., part, None])[..., 0] for part in (slice(0, 3), slice(3, 6))], axis=-1)
@@ -379,10 +380,9 @@ class Robot:
 
     def _moving(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
         q, v = self._joints("q", q), self._joints("v", v)
-        try:
-            q, v = np.broadcast_arrays(q, v)
-        except ValueError:
-            raise BadArgument("v", f"shape {v.shape}", f"leading axes that go with q of shape {q.shape}") from None
+        if not _compatible(q.shape, v.shape):
+            raise BadArgument("v", f"shape {v.shape}", f"leading axes that go with q of shape {q.shape}")
+        q, v = np.broadcast_arrays(q, v)
         return q, v
 
     def _configuration(self, q: Array) -> Array:
@@ -419,16 +419,8 @@ def _task_inertia(M: Array, J: Array) -> Array:
     return 0.5 * (Lambda + np.swapaxes(Lambda, -1, -2))
 
 
-def _rotational_inertia(inertia: ArrayLike) -> Array:
-    I = checks.array("inertia", inertia)
-    takes = "a scalar >= 0 or a symmetric positive (3, 3) matrix [kg m^2], about the com in tool axes"
-    if I.shape not in ((), (3, 3)):
-        raise BadArgument("inertia", f"shape {I.shape}", takes)
-    full = np.array(I * np.eye(3) if I.ndim == 0 else I)
-    scale = float(np.abs(full).max())
-    if not np.allclose(full, full.T, rtol=0, atol=1e-9 * scale) or np.linalg.eigvalsh(full)[0] < -1e-9 * scale:
-        raise BadArgument("inertia", inertia, takes)
-    return _frozen(0.5 * (full + full.T))
+def _compatible(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
+    return all(x == y or 1 in (x, y) for x, y in zip(a[::-1], b[::-1], strict=False))
 
 
 def _open(limit: float) -> float:

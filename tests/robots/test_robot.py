@@ -193,8 +193,11 @@ def test_a_bad_configuration_is_refused_by_every_method(q):
 
 
 def test_leading_axes_that_do_not_go_together_are_refused():
-    with pytest.raises(errors.BadArgument, match="leading axes"):
+    with pytest.raises(errors.BadArgument, match=r"v: .*leading axes"):
         robots.rp().bias(np.zeros((2, 2)), np.zeros((3, 2)))
+    with pytest.raises(errors.BadArgument, match=r"wrench: .*leading axes"):
+        robots.rp().joint_torques(np.zeros((2, 2)), np.zeros((3, 6)))
+    assert robots.rp().joint_torques(np.zeros((2, 1, 2)), np.zeros((3, 6))).shape == (2, 3, 2)
 
 
 # --- changed copies -----------------------------------------------------------------------------------------------------------
