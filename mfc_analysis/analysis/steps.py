@@ -87,7 +87,12 @@ def step(system: OpenSystem, index: int, input: str | int, output: str | int, du
     known, run_for = spectrum(one), _runner(one, into, out)
     verdict = stability(one, known)
     outcome, steady = _end(one, into, out, bool(verdict.nonzero_stable[0]), known)
-    run = _settled_run(run_for, known, steady if outcome is Outcome.SETTLES else None, one.dt)
+    first = None
+    if one.wire_delay.any() and not one.dt:
+        from mfc_analysis.analysis.delayed_steps import first_duration
+
+        first = first_duration(one, into, out)
+    run = _settled_run(run_for, known, steady if outcome is Outcome.SETTLES else None, one.dt, first)
     figures = _figures(run, steady, one.dt) if outcome is Outcome.SETTLES else dict.fromkeys(FIGURES, np.nan)
     if outcome is Outcome.RAMPS:
         figures["settling"] = np.inf
@@ -181,16 +186,24 @@ def _samples(duration: float, known: Spectrum, dt: float) -> int:
     return int(np.clip(16 * turns, SAMPLES, 20 * SAMPLES))
 
 
-def _settled_run(run_for: Callable[[float, int], Run], known: Spectrum, steady: float | None, dt: float) -> Run:
-    """A run about twice as long as it takes to settle; eight of the slowest times where nothing settles."""
+def delay_free_duration(system: OpenSystem, into: int, out: int) -> float:
+    """[s] about twice the settling time of a system with one point and without dead time; eight of its slowest times where nothing settles."""
+    known = spectrum(system)
+    outcome, steady = _end(system, into, out, bool(stability(system, known).nonzero_stable[0]), known)
+    run = _settled_run(_runner(system, into, out), known, steady if outcome is Outcome.SETTLES else None, system.dt)
+    return float(run.t[-1])
+
+
+def _settled_run(run_for: Callable[[float, int], Run], known: Spectrum, steady: float | None, dt: float, first: float | None = None) -> Run:
+    """A run about twice as long as it takes to settle; eight of the slowest times where nothing settles. ``first``: [s] to begin with."""
     s = rates(known.poles, dt)[~known.zero]
     rate = np.abs(s.real[np.isfinite(s.real) & (np.abs(s.real) > 1e-12 * np.abs(s))])
     if steady is None:
         grows = s.real[s.real > 1e-12 * np.abs(s)]
         slowest = grows.max() if grows.size else rate.min() if rate.size else 1.0
-        duration = 8 / slowest
+        duration = first or 8 / slowest
         return run_for(duration, _samples(duration, known, dt))
-    duration = 10 / rate.min() if rate.size else max(1.0, 10 * dt)
+    duration = first or (10 / rate.min() if rate.size else max(1.0, 10 * dt))
     run = run_for(duration, _samples(duration, known, dt))
     for _ in range(40):
         left = _last_outside(run, steady)

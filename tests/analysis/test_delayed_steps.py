@@ -1,0 +1,88 @@
+"""Step responses with dead time: the method of steps by hand, and the order of the error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import factorial
+
+import control
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mfc_analysis.analysis.poles import stability
+from mfc_analysis.analysis.steps import Outcome, step
+from mfc_analysis.analysis.system import OpenSystem
+from tests.analysis.conftest import open_system, random_loops
+
+s = control.tf("s")
+
+
+def integrator(k: float, T: float, t: np.ndarray) -> np.ndarray:
+    """x' = -k x(t - T) + 1 from rest: sum of (-k)^j (t - j T)^(j + 1) / (j + 1)!."""
+    x = np.zeros_like(t)
+    for j in range(int(t.max() / T) + 1):
+        x += np.where(t > j * T, (-k) ** j * np.maximum(t - j * T, 0) ** (j + 1) / factorial(j + 1), 0.0)
+    return x
+
+
+def plain_integrator(k: float, T: float) -> OpenSystem:
+    return OpenSystem(
+        times=np.zeros(1),
+        A=np.zeros((1, 1, 1)),
+        B=np.ones((1, 1, 2)),
+        C=np.array([[[1.0], [-k]]]),
+        D=np.zeros((1, 2, 2)),
+        state_names=("x",),
+        input_names=("d",),
+        output_names=("x",),
+        wires={"torque": slice(0, 1)},
+        wire_names=("joint",),
+        wire_delay=np.array([T]),
+        points=("torque",),
+    )
+
+
+@pytest.mark.parametrize(("k", "T"), [(1.0, 0.6), (2.0, 0.5), (50.0, 0.015)])
+def test_an_integrator_with_dead_time_follows_its_series(k, T):
+    found = step(plain_integrator(k, T), 0, "d", "x")
+    assert found.outcome is Outcome.SETTLES
+    early = found.t < 12 * T
+    assert_allclose(found.y[early], integrator(k, T, found.t[early]), atol=1e-8 / k)
+    assert_allclose(found.steady_state, 1 / k)
+    t = np.linspace(0, 12 * T, 200_001)
+    y = integrator(k, T, t)
+    assert_allclose([found.peak, found.peak_time], [y.max(), t[y.argmax()]], rtol=1e-4)
+    outside = t[np.abs(y * k - 1) > 0.02]
+    if outside[-1] < 11 * T:
+        assert_allclose(found.settling, outside[-1], rtol=1e-4)
+
+
+def test_a_jump_on_the_wire_comes_back_as_a_jump_one_dead_time_later():
+    found = step(open_system(0.5 * (s + 1) / (s + 1), delay=0.25), 0, "d", "y", duration=1.0)
+    # y = 0.5 (1 - y(t - T)): 0.5, 0.25, 0.375, ... on successive dead times
+    for k, level in enumerate((0.5, 0.25, 0.375, 0.3125)):
+        inside = (found.t > 0.25 * k + 1e-9) & (found.t < 0.25 * (k + 1) - 1e-9)
+        assert_allclose(found.y[inside], level, atol=1e-12)
+
+
+def test_a_short_dead_time_changes_little(rng):
+    L = 25 / (s**3 + 10 * s**2 + 10 * s + 10)
+    late, plain = step(open_system(L, delay=1e-3), 0, "d", "y", duration=5.0), step(open_system(L), 0, "d", "y", duration=5.0)
+    assert_allclose(np.interp(plain.t, late.t, late.y), plain.y, atol=3e-3)
+
+
+def test_delays_that_share_no_divisor_agree_with_neighbours_that_do(rng):
+    system = random_loops(rng, 30, 4, 2)
+    exact = replace(system, wire_delay=np.array([0.02, 0.03]))
+    i = int(np.flatnonzero(stability(exact).stable)[0])
+    near = replace(system, wire_delay=np.array([0.02, 0.03 + 1e-9 * np.pi]))
+    a, b = (step(one, i, "d", "y", duration=3.0) for one in (exact, near))
+    assert_allclose(b.settling, a.settling, rtol=1e-5)
+    assert_allclose(b.y[: a.y.size], a.y[: b.y.size], atol=1e-6 * np.abs(a.y).max())
+
+
+def test_beyond_its_delay_margin_the_response_grows():
+    found = step(plain_integrator(2.0, 0.8), 0, "d", "x")
+    assert found.outcome is Outcome.GROWS and np.isnan(found.settling)
+    assert np.abs(found.y[-found.y.size // 4 :]).max() > 2 * np.abs(found.y[: found.y.size // 4]).max()
