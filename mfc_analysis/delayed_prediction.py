@@ -21,21 +21,23 @@ Array = NDArray[np.float64]
 def delayed_prediction(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> Array:
     """(N, nx) x' = A(t) x + B w(t - T), w = C x + D w(t - T) along the base run, from ``direction``; before the start w is constant.
 
-    Runge-Kutta of fourth order on segments no longer than the shortest dead time, A(t) taken at each segment's middle.
+    Runge-Kutta of fourth order on segments no longer than the shortest dead time, A(t) a cubic through four points of each.
     """
     e = loop.equations
     delays = [float(d) for d in (e.hardware.delay, e.hardware.force_delay) if d is not None]  # type: ignore[arg-type]
     whole = max(int(np.ceil((t[-1] - t[0]) / min(delays) - 1e-9)), 1)
     edges = np.linspace(t[0], t[-1], whole + 1)
-    middles = 0.5 * (edges[1:] + edges[:-1])
-    system = open_system(e, middles, base.state(middles))
+    at_thirds = np.linspace(t[0], t[-1], 3 * whole + 1)
+    sent = None if base.arrived is None else {e.actuator: np.stack([base.arrived(float(ti)) for ti in at_thirds])}
+    system = open_system(e, at_thirds, base.state(at_thirds), arriving=sent)
     late = system.wire_delay > 0
     nu, ny, T = system.nu, system.ny, system.wire_delay[late]
     A, B, C, D = close_wires(system, late)
-    B, C, D = B[:, :, nu:], C[:, ny:], D[:, ny:, nu:]
+    along = [_Cubic(M, edges) for M in (A, B[:, :, nu:], C[:, ny:], D[:, ny:, nu:])]
+    At, Bt, Ct, Dt = along
     out = np.empty((len(t), e.nx))
     x = direction.copy()
-    past = History(float(t[0]), np.linalg.solve(np.eye(late.sum()) - D[0], C[0] @ x))
+    past = History(float(t[0]), np.linalg.solve(np.eye(late.sum()) - D[0, ny:, nu:], C[0, ny:] @ x))
     substeps = 8
     for k in range(whole):
         start, h = float(edges[k]), float(edges[k + 1] - edges[k]) / substeps
@@ -47,10 +49,12 @@ def delayed_prediction(loop: ClosedLoop, base: Simulation, t: Array, direction: 
         for j in range(substeps):
             at = start + j * h
             w0, w1, w2 = arriving(at), arriving(at + h / 2), arriving(at + h)
-            k1 = A[k] @ x + B[k] @ w0
-            k2 = A[k] @ (x + h / 2 * k1) + B[k] @ w1
-            k3 = A[k] @ (x + h / 2 * k2) + B[k] @ w1
-            k4 = A[k] @ (x + h * k3) + B[k] @ w2
+            A0, A1, A2 = (At.at(k, ti) for ti in (at, at + h / 2, at + h))
+            B0, B1, B2 = (Bt.at(k, ti) for ti in (at, at + h / 2, at + h))
+            k1 = A0 @ x + B0 @ w0
+            k2 = A1 @ (x + h / 2 * k1) + B1 @ w1
+            k3 = A1 @ (x + h / 2 * k2) + B1 @ w1
+            k4 = A2 @ (x + h * k3) + B2 @ w2
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             states.append(x)
         here = np.array(states)
@@ -58,9 +62,22 @@ def delayed_prediction(loop: ClosedLoop, base: Simulation, t: Array, direction: 
         inside = (t >= start - 1e-12) & (t <= edges[k + 1] + 1e-12)
         out[inside] = _between(ticks, here, t[inside])
         nodes = start + NODES * (edges[k + 1] - start)
-        signals = np.stack([C[k] @ xi + D[k] @ arriving(float(ti)) for ti, xi in zip(nodes, _between(ticks, here, nodes), strict=True)])
+        pairs = zip(nodes, _between(ticks, here, nodes), strict=True)
+        signals = np.stack([Ct.at(k, float(ti)) @ xi + Dt.at(k, float(ti)) @ arriving(float(ti)) for ti, xi in pairs])
         past.add(start, float(edges[k + 1] - start), signals)
     return out
+
+
+class _Cubic:
+    """Matrices along the path: in each segment the cubic through its ends and thirds."""
+
+    def __init__(self, M: Array, edges: Array) -> None:
+        self.M, self.edges = M, edges
+
+    def at(self, k: int, t: float) -> Array:
+        s = 3 * (t - self.edges[k]) / (self.edges[k + 1] - self.edges[k])
+        w = [-(s - 1) * (s - 2) * (s - 3) / 6, s * (s - 2) * (s - 3) / 2, -s * (s - 1) * (s - 3) / 2, s * (s - 1) * (s - 2) / 6]
+        return np.asarray(np.tensordot(w, self.M[3 * k : 3 * k + 4], axes=1))
 
 
 def _between(ticks: Array, states: Array, t: Array) -> Array:

@@ -1,11 +1,13 @@
 """Exact Jacobians of ``equations.py`` at m points, by one evaluation with dual arrays: the closed A, or the loop with every wire cut.
 
 In coordinates "error" the joint states (q, v) are replaced by (X_e, V_e) of a tool law, or (e, e') of a joint law. The new
-rates are exact along a moving path: they are the linearised rates of the error itself, not T A T^-1.
+rates are exact along a moving path: they are the linearised rates of the error itself, not T A T^-1. These states are the error
+from the reference as it is: an external reference input moves what the law sees, and jumps of it are no jumps of a state.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -52,12 +54,17 @@ def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coo
     A = _tangent(rates, x.shape, nx)  # type: ignore[arg-type]
     if coordinates == "state":
         return A
-    change = _error_coordinates(equations, times, seeded, flow.rates, Inputs())
+    change = _error_coordinates(equations, times, seeded, flow.rates)
     return _changed(A, change, nx)[0]
 
 
-def open_system(equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state") -> OpenSystem:
-    """The loop at (times, x) with every wire cut: external inputs (reference, disturbance, F_d) and all wires as columns."""
+def open_system(
+    equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state", arriving: Mapping[str, Array] | None = None
+) -> OpenSystem:
+    """The loop at (times, x) with every wire cut: external inputs (reference, disturbance, F_d) and all wires as columns.
+
+    ``arriving`` gives the values (m, k) behind a wire where they are not those in front of it (dead time on a moving path).
+    """
     m, nx, n = len(times), equations.nx, equations.n
     held = equations.flow(times, x)  # values on the wires
     held_wires = Wires()
@@ -79,6 +86,7 @@ def open_system(equations: Equations, times: Array, x: Array, coordinates: Coord
     start = 0
     for name, size in sizes.items():
         signal = held.command if name == equations.actuator else held_wires.recorded[name]
+        signal = (arriving or {}).get(name, signal)  # type: ignore[arg-type]
         cut[name] = _seed(np.broadcast_to(value(signal), (m, size)), nx + nu + start, width)
         wires_at[name] = slice(start, start + size)
         start += size
@@ -92,7 +100,7 @@ def open_system(equations: Equations, times: Array, x: Array, coordinates: Coord
     C = np.concatenate(rows, axis=1)
     state_names = equations.state_names
     if coordinates == "error":
-        change = _error_coordinates(equations, times, seeded, flow.rates, inputs)
+        change = _error_coordinates(equations, times, seeded, flow.rates)
         T, C = _changed_open(T, C, change, nx)
         state_names = (*_error_names(equations, change.replaced), *state_names[change.replaced :])
     delay = np.zeros(nw)
@@ -145,11 +153,11 @@ def _error_names(equations: Equations, replaced: int) -> tuple[str, ...]:
     return tuple(first + ([f"V_e_{c}" for c in TWIST] if equations.law.space == "tool" else [f"e_dot_{j}" for j in joints]))
 
 
-def _error_coordinates(equations: Equations, times: Array, x: Dual, rates: object, inputs: Inputs) -> _Change:
+def _error_coordinates(equations: Equations, times: Array, x: Dual, rates: object) -> _Change:
     assert isinstance(rates, dict)
     s = equations.split(x)
     q, torque = s["q"], equations.actuator == "torque"
-    ref = equations.reference(times, inputs.reference)
+    ref = equations.reference(times)
     if not isinstance(ref, ToolReference):
         if torque:
             return _Change(concatenate([ref.q - q, ref.v - s["v"]]), concatenate([ref.v - rates["q"], ref.a - rates["v"]]), 2 * equations.n)
@@ -185,12 +193,9 @@ def _changed_open(rates: Array, outputs: Array, change: _Change, nx: int) -> tup
     _, T = _changed(rates[:, :, :nx], change, nx)
     new = rates.copy()
     new[:, :k] = change.rates.tangent
-    moved = np.zeros_like(rates)  # the new states depend on the reference input directly
-    moved[:, :k] = change.states.tangent
-    moved = moved[:, :, nx:]
 
     def over(rows: Array) -> Array:
         on_states = np.swapaxes(np.linalg.solve(np.swapaxes(T, 1, 2), np.swapaxes(rows[:, :, :nx], 1, 2)), 1, 2)
-        return np.concatenate([on_states, rows[:, :, nx:] - on_states @ moved], axis=2)
+        return np.concatenate([on_states, rows[:, :, nx:]], axis=2)
 
     return over(new), over(outputs)

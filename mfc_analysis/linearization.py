@@ -42,6 +42,7 @@ class Linearization:
     coordinates: Coordinates
     default_at: str
     again: Callable[[Array], Linearization]  #: the same loop, operating points and coordinates at other times
+    left_over: Callable[[], Array]  #: computes the residual of operating points on the reference
 
     # --- matrices ------------------------------------------------------------------------------------------------
 
@@ -50,10 +51,10 @@ class Linearization:
         """(m,) [s]."""
         return self.point.times
 
-    @property
+    @cached_property
     def residual(self) -> Array:
         """(m, n) acceleration [rad/s^2] (velocity plants: velocity [rad/s]) left over at the operating points; 0 at an equilibrium."""
-        return self.point.residual
+        return self.left_over() if self.point.residual is None else self.point.residual
 
     @property
     def dt(self) -> float:

@@ -18,7 +18,7 @@ from mfc_analysis.jacobians import Coordinates, closed_matrix
 from mfc_analysis.laws.law import Law
 from mfc_analysis.linearization import Linearization
 from mfc_analysis.maths import checks
-from mfc_analysis.operating_point import Nominal, OperatingPoint, rest_point, trimmed
+from mfc_analysis.operating_point import Nominal, OperatingPoint, residual, rest_point, trimmed
 from mfc_analysis.robots.primitives import WARN_CONDITION
 from mfc_analysis.robots.robot import Robot
 
@@ -190,7 +190,14 @@ class ClosedLoop:
         checks.choice("about", about, ("reference", "equilibrium", "simulation"))
         point = self._point(t, about, simulation)
         chosen = self._coordinates(coordinates, point)
-        return Linearization(self.equations, point, chosen, self.default_at, lambda other: self.linearize(other, about, chosen, simulation))
+
+        def again(other: Array) -> Linearization:
+            return self.linearize(other, about, chosen, simulation)
+
+        def left_over() -> Array:
+            return residual(self.equations, t, point.x, self.nominal(t))
+
+        return Linearization(self.equations, point, chosen, self.default_at, again, left_over)
 
     def _coordinates(self, asked: Coordinates | None, point: OperatingPoint) -> Coordinates:
         if asked is not None:

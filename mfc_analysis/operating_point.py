@@ -25,7 +25,7 @@ class OperatingPoint:
 
     times: Array  #: (m,) [s]
     x: Array  #: (m, nx) in the order of ``state_names``
-    residual: Array  #: (m, n) q'' - a_d [rad/s^2] (q' - v_d [rad/s] on velocity plants) that the law leaves there
+    residual: Array | None  #: (m, n) q'' - a_d [rad/s^2] (q' - v_d [rad/s] on velocity plants) left there; None: not yet computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,9 @@ def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPo
     if equations.actuator == "torque":
         slots["v"] = v
         F = value(equations.touch(slots).wrench)
-        wanted = value(plant.rnea(q, v, a)) + value(plant.friction(v)) + value(plant.jacobian_transpose(q, F))
+        wanted = value(plant.rnea(q, v, a)) + value(plant.friction(v))
+        if equations.surfaces:
+            wanted = wanted + value(plant.jacobian_transpose(q, F))
         encoder = v
         if "theta" in slots:
             slots["theta"] = q + wanted / hardware.per_joint("joint_stiffness", equations.n)
@@ -65,9 +67,13 @@ def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPo
     for name in ("z", "outer"):
         if name in slots:
             slots[name] = _trim(equations, times, slots, name, wanted)
-    x = value(equations.join(slots))
+    return OperatingPoint(times, value(equations.join(slots)), None)
+
+
+def residual(equations: Equations, times: Array, x: Array, nominal: Nominal) -> Array:
+    """(m, n) what the law leaves over at x: q'' - a_d, or q' - v_d on velocity plants."""
     rates = _rates(equations, times, x)
-    return OperatingPoint(times, x, rates["v"] - a if equations.actuator == "torque" else rates["q"] - v)
+    return rates["v"] - nominal.a if equations.actuator == "torque" else rates["q"] - nominal.v
 
 
 def _rates(equations: Equations, times: Array, x: Array) -> dict[str, Array]:

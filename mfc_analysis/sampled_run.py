@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,7 +71,7 @@ def run_with_dead_time(run: _Run, asked: Array, x0: Array) -> None:
     count = int(np.ceil((end - start) / segment - 1e-9))
     for k in range(count):
         begin, stop = start + k * segment, min(start + (k + 1) * segment, end)
-        x = run.integrate(rates, begin, stop, x)  # type: ignore[arg-type]
+        x = run.integrate(rates, begin, stop, x, short=True)  # type: ignore[arg-type]
         if x is None:
             return
         t = begin + NODES * (stop - begin)
@@ -108,14 +109,14 @@ def run_sampled(run: _Run, asked: Array, x0: Array) -> None:
         for begin, stop, held in switches:
             if begin >= end - 1e-12:
                 break
-            moved = run.integrate(_held_rates(run, held, plant), begin, min(stop, end), x)
+            moved = run.integrate(_held_rates(run, held), begin, min(stop, end), x, short=True)
             if moved is None:
                 return
             x = moved
         x[own] = own_next
 
 
-def _held_rates(run: _Run, held: Array, plant: Array):  # type: ignore[no-untyped-def]
+def _held_rates(run: _Run, held: Array) -> Callable[[float, Array], Array]:
     e, lose = run.equations, run.one_sided
 
     def rates(t: float, x: Array) -> Array:

@@ -71,6 +71,7 @@ class Simulation:
     message: str  #: what happened and when, a sentence
     state_names: tuple[str, ...]
     path: _Path = field(repr=False)
+    arrived: Callable[[float], Array] | None = field(default=None, repr=False)  #: with dead time or sampling: t -> (n,) command at the joints
 
     @property
     def diverged(self) -> bool:
@@ -137,9 +138,14 @@ class _Run:
     def one_sided(self) -> bool:
         return any(s.one_sided for s in self.equations.surfaces)
 
-    def integrate(self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None) -> Array | None:
-        """From start to end; adds to the path. None where the run has stopped."""
+    def integrate(self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False) -> Array | None:
+        """From start to end; adds to the path. None where the run has stopped.
+
+        ``short``: one of many short segments, where a multistep method would only ever be starting: explicit Runge-Kutta then.
+        """
         options = dict(self.options)
+        if short and options["method"] == "LSODA":
+            options.update(method="DOP853" if options["rtol"] < 1e-8 else "RK45", first_step=end - start)
         if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
             options["jac"] = jac
         watched = self._events()
@@ -175,7 +181,8 @@ class _Run:
         last = start + 0.999 * (t - start)
         if last - start > 1e-9:
             try:
-                found = solve_ivp(rates, (start, last), x, dense_output=True, **{**options, "method": "RK45", "jac": None} if "jac" in options else options)
+                options = {name: options[name] for name in ("rtol", "atol")}
+                found = solve_ivp(rates, (start, last), x, dense_output=True, method="RK45", **options)
                 self.path.add(float(found.t[-1]), found.sol)
             except _Stop:
                 last = start
@@ -267,7 +274,7 @@ def _gathered(run: _Run, asked: Array) -> Simulation:
     twist = value(e.plant.jacobian(np.ascontiguousarray(q), v))
     return Simulation(
         t, x, q, v, tau, command, np.array(value(flow.error)), twist, np.array(value(flow.F_tip)), tuple(sorted(run.events, key=lambda event: event.time)),
-        run.outcome, run.message, e.state_names, run.path,
+        run.outcome, run.message, e.state_names, run.path, run.arrived,
     )  # fmt: skip
 
 

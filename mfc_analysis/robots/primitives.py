@@ -62,6 +62,9 @@ class Primitives:
         qs, vs, accelerations = value(q), value(v), value(a)
         if not any(isinstance(x, Dual) for x in (q, v, a)):
             return self._each(lambda *x: pin.rnea(self._model, self._data, *x), self.n, qs, vs, accelerations)
+        if not isinstance(q, Dual) and not isinstance(v, Dual):
+            M = self.at(qs).M
+            return chain(self._each(lambda *x: pin.rnea(self._model, self._data, *x), self.n, qs, vs, accelerations), (lambda: M, a))
         data = self._data
 
         def derivatives(*x: Array) -> None:
