@@ -1,0 +1,242 @@
+"""Studies: a TOML file that says robot, law, path, hardware and what is asked, turned into loops.
+
+``read(path)`` checks the file against ``study_schema`` and builds its loops. Files it names are read relative to it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import os
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from mfc_analysis.errors import MfcError
+from mfc_analysis.study_schema import DECIDING, LoopTable, StudyTable
+from mfc_analysis.study_tables import REFERENCES, Table
+
+if TYPE_CHECKING:
+    from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.requirements import Requirements
+    from mfc_analysis.study_parts import Parts
+
+Array = NDArray[np.float64]
+
+MOST_CASES = 1000  #: combinations of ranges that a study may ask for
+
+
+class StudyError(MfcError, ValueError):
+    """A study file that cannot be used: names the file, the key, what it got and what is allowed."""
+
+    def __init__(self, file: str, key: str, problem: str, allowed: Sequence[str] = ()) -> None:
+        self.file, self.key, self.problem, self.allowed = file, key, problem, tuple(allowed)
+        super().__init__(f"{file}: {key}: {problem}" if key else f"{file}: {problem}")
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A loop with some quantities of its plant changed, as the ranges of a study ask for."""
+
+    values: Mapping[str, float]  #: quantity -> value [SI], in the order of the file
+    loop: ClosedLoop
+
+    def __str__(self) -> str:
+        return ", ".join(f"{name} = {value:g}" for name, value in self.values.items())
+
+
+@dataclass(frozen=True, eq=False)
+class StudyLoop:
+    """A loop of a study, and what is asked of it."""
+
+    name: str
+    loop: ClosedLoop
+    times: Array  #: (m,) [s]
+    at: str | None  #: analysis point; None: the plant input
+    table: LoopTable  #: what the file says
+    parts: Parts = field(repr=False)
+
+    @property
+    def requirements(self) -> Requirements:
+        """What is asked."""
+        from mfc_analysis.requirements import Requirements
+
+        return Requirements(**self.table.requirements.given())
+
+    @property
+    def asks(self) -> bool:
+        """Whether the file requires anything."""
+        return bool(self.table.requirements.model_fields_set)
+
+    def cases(self) -> Iterator[Case]:
+        """Every combination of the ranges, the controller's model as it is. Nothing where the study has no ranges."""
+        spans = {name: getattr(self.table.ranges, name).points() for name in self.table.ranges.model_fields_set}
+        if not spans:
+            return
+        for combination in itertools.product(*spans.values()):
+            values = dict(zip(spans, combination, strict=True))
+            yield Case(values, self.parts.varied(values))
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A study file and its loops."""
+
+    title: str
+    name: str  #: of the report's files
+    text: str  #: a paragraph for the report, maybe empty
+    file: Path
+    sha256: str  #: of the file's bytes
+    loops: tuple[StudyLoop, ...]
+    table: StudyTable
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Formats of the report."""
+        return tuple(self.table.report.formats)
+
+
+def read(path: str | os.PathLike[str]) -> Study:
+    """The study in a TOML file, its loops built.
+
+    Raises StudyError (a ``ValueError``): not a file, not TOML, a key that isn't there (names the nearest), a value of another kind,
+    files, joints or gains that do not go together.
+    """
+    file = Path(path)
+    try:
+        content = file.read_bytes()
+        raw = tomllib.loads(content.decode("utf-8-sig"))
+    except OSError as why:
+        raise StudyError(str(path), "", f"cannot be read ({why.strerror or type(why).__name__})") from why
+    except UnicodeDecodeError as why:
+        raise StudyError(str(path), "", "is not a text in UTF-8") from why
+    except tomllib.TOMLDecodeError as why:
+        raise StudyError(str(path), "", f"is not TOML: {why}") from why
+    tables = raw.pop("loop", [])
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+        raise StudyError(str(path), "loop", "takes [[loop]] tables")
+    merged = [overridden(raw, t) for t in tables] or [raw]
+    checked = [_checked(str(path), one, tables[i] if tables else None, i) for i, one in enumerate(merged)]
+    names = _names(checked, tables)
+    from mfc_analysis.study_parts import Parts
+
+    loops = []
+    for i, (name, table) in enumerate(zip(names, checked, strict=True)):
+        _check_cases(str(path), table)
+        parts = Parts(table, file.parent, str(path), f"loop[{i}]" if tables else "")
+        loops.append(StudyLoop(name, parts.loop(), parts.times(), table.at, table, parts))
+    first = checked[0]
+    title = first.title or file.stem
+    return Study(title, first.report.name or file.stem, first.text or "", file, hashlib.sha256(content).hexdigest(), tuple(loops), first)
+
+
+def overridden(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The base with some keys changed, table by table; a table that says anew what it is (DECIDING) is replaced."""
+    out = dict(base)
+    for key, value in changes.items():
+        old = out.get(key)
+        anew = isinstance(value, dict) and any(word in value for word in DECIDING.get(key, ()))
+        out[key] = overridden(old, value) if isinstance(old, dict) and isinstance(value, dict) and not anew else value
+    return out
+
+
+def _names(tables: Sequence[StudyTable], given: Sequence[Mapping[str, Any]]) -> list[str]:
+    names = [table.name or (f"loop {i + 1}" if given else "loop") for i, table in enumerate(tables)]
+    return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
+
+
+def _check_cases(file: str, table: LoopTable) -> None:
+    count = 1
+    for name in table.ranges.model_fields_set:
+        count *= len(getattr(table.ranges, name).points())
+    if count > MOST_CASES:
+        raise StudyError(file, "ranges", f"{count} combinations; takes up to {MOST_CASES}")
+
+
+# --- what pydantic found, in words ---------------------------------------------------------------------------------------
+
+
+def _checked(file: str, raw: dict[str, Any], changes: dict[str, Any] | None, index: int) -> StudyTable:
+    try:
+        return StudyTable.model_validate(raw)
+    except ValidationError as why:
+        first = min(why.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")  # a misspelt key explains a missing one
+        key, problem, allowed = _said(first, raw)
+        if changes is not None and (_has(changes, key) or not _has(raw, key)):
+            key = f"loop[{index}].{key}" if key else f"loop[{index}]"
+        raise StudyError(file, key, problem, allowed) from None
+
+
+def _said(error: Any, raw: Mapping[str, Any]) -> tuple[str, str, tuple[str, ...]]:
+    """Dotted key, sentence and allowed keys of one pydantic error."""
+    key, table, got = _walk(error["loc"], raw)
+    kind, ctx = error["type"], error.get("ctx") or {}
+    if kind == "extra_forbidden":
+        allowed = tuple(table.model_fields)
+        near = get_close_matches(key.rpartition(".")[2], allowed, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        return key, f"no such key; {hint}allowed: {', '.join(allowed)}", allowed
+    if kind == "missing":
+        return key, "is missing", ()
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        kinds = tuple(REFERENCES)
+        word = got.get("kind") if isinstance(got, Mapping) else None
+        near = get_close_matches(str(word), kinds, n=1)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        return f"{key}.kind", f"got {_short(word)}; takes one of {', '.join(map(repr, kinds))}{hint}" if word is not None else "is missing", kinds
+    said = ctx.get("what") or error["msg"].removeprefix("Input should be ")
+    if isinstance(got, Mapping) and kind == "takes":
+        return key, f"takes {said}", ()
+    return key, f"got {_short(got)}; takes {said}", ()
+
+
+def _walk(loc: Sequence[str | int], raw: Any) -> tuple[str, type[Table], Any]:
+    """The dotted key of an error's place, the table it is in, and what the file has there. Names of validators in ``loc`` fall out."""
+    key, here, last = "", raw, len(loc) - 1
+    table: type[Table] = StudyTable
+    for i, part in enumerate(loc):
+        if isinstance(part, int):
+            if isinstance(here, list) and part < len(here):
+                key, here = f"{key}[{part}]", here[part]
+            continue
+        known = isinstance(here, Mapping) and part in here
+        if not known and (i != last or (part == "values" and isinstance(here, list))):
+            continue
+        if not known and part in REFERENCES:
+            continue
+        key = f"{key}.{part}" if key else part
+        inner = _tables_of(table.model_fields[part].annotation) if part in table.model_fields else []
+        here = here[part] if known else None
+        if inner and (i != last or not known or isinstance(here, (Mapping, list))):
+            kind = here.get("kind") if isinstance(here, Mapping) else None
+            table = REFERENCES[kind] if part == "reference" and kind in REFERENCES else inner[0]
+    return key, table, here
+
+
+def _tables_of(annotation: Any) -> list[type[Table]]:
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _tables_of(part)]
+
+
+def _has(raw: Any, key: str) -> bool:
+    for part in key.replace("]", "").replace("[", ".").split("."):
+        if isinstance(raw, list) and part.isdigit() and int(part) < len(raw):
+            raw = raw[int(part)]
+        elif isinstance(raw, Mapping) and part in raw:
+            raw = raw[part]
+        else:
+            return False
+    return True
+
+
+def _short(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "..."
