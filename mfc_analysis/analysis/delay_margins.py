@@ -71,14 +71,14 @@ def delayed_figures(system: OpenSystem, at: str, judged: NDArray[np.bool_], know
     """The figures of all channels of the point ``at``, dead time exact; NaN where not judged."""
     ch = channels(system, at)
     figures = Figures(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
-    some = np.flatnonzero(judged)
+    some = np.asarray(np.flatnonzero(judged), np.int64)
     if not some.size:
         return figures
     at_zero = dc_sensitivity(ch.at(some), known.roots.count[some])
-    cut = delayed_points(system.at(some))
+    cut = delayed_points(system)
     for k, i in enumerate(some):
         one = _point(system, at, int(i))
-        found = _figures(one, ch.at(np.array([i])), cut[k], at_zero[k : k + 1], known.poles[i][~known.zero[i]])
+        found = _figures(one, ch.at(np.array([i])), cut[i], at_zero[k : k + 1], known.poles[i][~known.zero[i]])
         for name, values in vars(figures).items():
             values[i] = found[name]
     return figures

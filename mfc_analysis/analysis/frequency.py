@@ -34,7 +34,7 @@ def frequency_response(system: OpenSystem, frequencies: ArrayLike, at: str) -> C
     highest = np.pi / system.dt * (1 + 1e-12) if system.dt else np.inf
     if np.any(w < 0) or np.any(w > highest):
         raise BadArgument("frequencies", frequencies, "frequencies >= 0 [rad/s]" + (f" up to pi/dt = {np.pi / system.dt:.6g}" if system.dt else ""))
-    s = np.exp(1j * w * system.dt) if system.dt else 1j * w
+    s: Complex = np.asarray(np.exp(1j * w * system.dt) if system.dt else 1j * w, np.complex128)
     delays = np.exp(-1j * w[:, None] * (0.0 if system.dt else system.wire_delay))
     numbers = np.arange(system.nw)[wires]
     out = np.empty((len(system.A), numbers.size, w.size), np.complex128)
@@ -75,7 +75,7 @@ def _loop(G: Complex, delays: Complex, cut: list[int], s: Complex, sampled: bool
     G = G * delays[:, None, :]
     open_wires = G[:, cut][:, :, cut]
     if others:
-        bad = ~np.isfinite(G).all(axis=(1, 2))
+        bad = np.asarray(~np.isfinite(G).all(axis=(1, 2)))
         G = np.where(bad[:, None, None], 0.0, G)
         back = np.linalg.solve(np.eye(len(others)) - G[:, others][:, :, others], G[:, others][:, :, cut])
         open_wires = G[:, cut][:, :, cut] + G[:, cut][:, :, others] @ back

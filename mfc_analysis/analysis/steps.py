@@ -158,14 +158,14 @@ def _runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], R
             here = part @ x[:, k] + more[:, 0]
             return float(c @ here + d), float(c @ (A @ here + b[:, 0]))
 
-        return Run(h * np.arange(samples + 1), c @ x + d, c @ (A @ x + b), between)
+        return Run(np.asarray(h * np.arange(samples + 1), float), c @ x + d, c @ (A @ x + b), between)
 
     return run
 
 
 def _sampled(A: Array, b: Array, c: Array, d: float, dt: float, samples: int) -> Run:
     y = c @ _doubled(A, b[:, 0], samples) + d
-    return Run(dt * np.arange(samples + 1), y, np.zeros(samples + 1), lambda k, ahead: (float(y[k]), 0.0))
+    return Run(np.asarray(dt * np.arange(samples + 1), float), y, np.zeros(samples + 1), lambda k, ahead: (float(y[k]), 0.0))
 
 
 def _doubled(move: Array, push: Array, samples: int) -> Array:

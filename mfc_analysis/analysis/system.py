@@ -48,7 +48,7 @@ class OpenSystem:
     @property
     def nx(self) -> int:
         """Number of states."""
-        return self.A.shape[-1]
+        return int(self.A.shape[-1])
 
     @property
     def nu(self) -> int:
