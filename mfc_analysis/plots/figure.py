@@ -7,6 +7,7 @@ a test holds that no text leaves the sheet.
 from __future__ import annotations
 
 import io
+import os
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -212,6 +213,13 @@ def figure_of(drawn: Any) -> Figure:
         drawn = drawn[0]
     found = getattr(drawn, "figure", drawn)
     return found  # type: ignore[no-any-return]
+
+
+def font_folder() -> str:
+    """The folder of the fonts that figures are set in: matplotlib's own."""
+    import matplotlib
+
+    return os.path.join(matplotlib.get_data_path(), "fonts", "ttf")
 
 
 def settings() -> dict[str, Any]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, Literal
 
+from mfc_analysis.plots.figure import font_folder
 from mfc_analysis.report.html import asset
 from mfc_analysis.report.scrubber import Moving
 from mfc_analysis.report.tree import Tree
@@ -40,19 +41,13 @@ def pdf(tree: Tree, drawings: Mapping[str, str], scrubbers: Mapping[str, Moving]
         made = typst.compile(
             str(root / "report.typ"),
             root=str(root),
-            font_paths=_fonts(),
+            font_paths=[font_folder()],
             ignore_system_fonts=True,
             format="pdf",
             pdf_standards=list(STANDARDS),
             timestamp=timestamp,
         )
     return bytes(made)
-
-
-def _fonts() -> list[Any]:
-    import matplotlib
-
-    return [str(Path(matplotlib.get_data_path()) / "fonts" / "ttf")]
 
 
 def _width(svg: str) -> float:

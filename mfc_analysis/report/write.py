@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -15,15 +15,19 @@ from mfc_analysis.report.section import Document
 if TYPE_CHECKING:
     from mfc_analysis.report.scrubber import Moving
 
+Progress = Callable[[int, int], None]
 FORMATS = ("html", "pdf", "json")
 
 
-def render(document: Document, folder: str | os.PathLike[str], formats: Sequence[str] = FORMATS, *, timestamp: int = 0) -> dict[str, Path]:
+def render(
+    document: Document, folder: str | os.PathLike[str], formats: Sequence[str] = FORMATS, *, timestamp: int = 0, progress: Progress | None = None
+) -> dict[str, Path]:
     """Writes ``folder/name.html``, ``.pdf`` and ``.json``; returns the path of each format.
 
     Args:
         folder: made if it isn't there. Nothing is written outside of it: the files' name is ``document.name`` reduced to a-z, 0-9 and hyphens.
         timestamp: the PDF's date [s since 1970]; a date is an input, never the clock.
+        progress: called with (done, of how many) after each figure and each format.
 
     Raises:
         BadArgument: for a format that isn't there, or a folder that is a file.
@@ -38,7 +42,7 @@ def render(document: Document, folder: str | os.PathLike[str], formats: Sequence
     target = Path(folder)
     if target.exists() and not target.is_dir():
         raise BadArgument("folder", str(folder), "a folder to write into")
-    pages = rendered(document, formats, timestamp=timestamp)
+    pages = rendered(document, formats, timestamp=timestamp, progress=progress)
     target.mkdir(parents=True, exist_ok=True)
     name = slug(document.name)
     out = {}
@@ -48,7 +52,7 @@ def render(document: Document, folder: str | os.PathLike[str], formats: Sequence
     return out
 
 
-def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp: int = 0) -> dict[str, bytes]:
+def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp: int = 0, progress: Progress | None = None) -> dict[str, bytes]:
     """The bytes of each format, in the order asked for."""
     from mfc_analysis.report.numbers import numbers, to_json
     from mfc_analysis.report.tree import tree
@@ -57,11 +61,13 @@ def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp:
     version = package_version()
     drawings: dict[str, str] = {}
     moving: dict[str, Moving] = {}
-    if "html" in formats or "pdf" in formats:
+    pages = "html" in formats or "pdf" in formats
+    count = _Count(progress, len(formats) + (len(flat.figures) if pages else 0))
+    if pages:
         from mfc_analysis.plots.batch import drawn
         from mfc_analysis.report import scrubber
 
-        drawings = dict(zip(flat.figures, drawn([f.draw for f in flat.figures.values()]), strict=True))
+        drawings = dict(zip(flat.figures, drawn([f.draw for f in flat.figures.values()], progress=count), strict=True))
         moving = {key: scrubber.moving(s) for key, s in flat.scrubbers.items()}
     out: dict[str, bytes] = {}
     for kind in formats:
@@ -76,7 +82,20 @@ def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp:
             out[kind] = pdf(flat, drawings, moving, version, timestamp)
         else:
             out[kind] = to_json(numbers(document, flat, version)).encode("utf-8")
+        count(1)
     return out
+
+
+class _Count:
+    """Adds up what is done."""
+
+    def __init__(self, told: Progress | None, total: int) -> None:
+        self.told, self.total, self.done = told, total, 0
+
+    def __call__(self, some: int) -> None:
+        self.done += some
+        if self.told is not None:
+            self.told(self.done, self.total)
 
 
 def package_version() -> str:
