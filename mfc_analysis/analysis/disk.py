@@ -14,14 +14,14 @@ Int. J. Control 59 (1994) 189-221.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfc_analysis.analysis.mu import has_slycot, largest_bound
+from mfc_analysis.analysis.mu import has_slycot, largest_bound, lower_bound
 from mfc_analysis.analysis.peak import frequencies_of_interest
 from mfc_analysis.analysis.poles import rates, spectrum, stability
 from mfc_analysis.analysis.sensitivity import Opened, opened, sensitivity, sensitivity_at_infinity
@@ -34,7 +34,7 @@ Complex = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
 
 EXACT = 1e-6  #: relative gap of the bounds of mu below which alpha is called exact
-CLIMB = 12  #: evaluations of mu with which the highest frequency of the grid is refined
+CLIMB = 3  #: parabolas with which the highest frequency of the grid is refined
 
 
 class Bound(Enum):
@@ -197,19 +197,29 @@ def _peak(channels: Opened, index: int, grid: Array | None, placed: Array | None
     assert w is not None
     best = over(w)
     if grid is None:
-        from scipy.optimize import minimize_scalar
-
-        k = int(np.searchsorted(w, best[1]))
-        low, high = float(w[max(k - 1, 0)]), float(w[min(k + 1, w.size - 1)])
-        seen = [best]
-
-        def minus(x: float) -> float:
-            seen.append(over(np.array([x])))
-            return -seen[-1][0]
-
-        minimize_scalar(minus, bounds=(low, high), method="bounded", options={"xatol": 1e-4 * (high - low), "maxiter": CLIMB})
-        best = max(seen, key=lambda found: found[0])
+        best = _climbed(over, best, w)
     far, _, lower = largest_bound((sensitivity_at_infinity(channels, index) - half)[None])
     if far >= best[0] * (1 - 1e-12):
         return far, np.inf if not channels.system.dt else float(np.pi / channels.system.dt), lower
-    return best
+    mu, where, lower = best
+    if lower < mu * (1 - EXACT / 2):
+        lower = max(lower, lower_bound(sensitivity(channels, index, np.array([where]))[0] - half, mu * (1 - EXACT / 2)))
+    return mu, where, min(lower, mu)
+
+
+def _climbed(over: Callable[[Array], tuple[float, float, float]], best: tuple[float, float, float], w: Array) -> tuple[float, float, float]:
+    """From the highest of the frequencies w to the top nearby, by parabolas."""
+    k = int(np.searchsorted(w, best[1]))
+    low, high = float(w[max(k - 1, 0)]), float(w[min(k + 1, w.size - 1)])
+    seen = [over(np.array([(low + best[1]) / 2])), best, over(np.array([(best[1] + high) / 2]))]
+    for _ in range(CLIMB):
+        seen.sort(key=lambda found: -found[0])
+        (y0, x0, _), (y1, x1, _), (y2, x2, _) = seen[:3]
+        bend = (y1 - y0) * (x2 - x0) - (y2 - y0) * (x1 - x0)
+        if bend == 0:
+            break
+        top = x0 + ((y1 - y0) * (x2 - x0) ** 2 - (y2 - y0) * (x1 - x0) ** 2) / (2 * bend)
+        if not low < top < high or abs(top - x0) < 1e-5 * (high - low):
+            break
+        seen.append(over(np.array([top])))
+    return max(seen, key=lambda found: found[0])

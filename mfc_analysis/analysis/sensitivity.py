@@ -19,6 +19,7 @@ from mfc_analysis.errors import BadArgument
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +55,16 @@ def sensitivity(channels: Opened, index: int, frequencies: Array) -> Complex:
     nu, ny, nw = system.nu, system.ny, system.nw
     A, B, C, D = system.A[index], system.B[index, :, nu:], system.C[index, ny:], system.D[index, ny:, nu:]
     s: Complex = np.asarray(np.exp(1j * frequencies * system.dt) if system.dt else 1j * frequencies, np.complex128)
+    moving = np.flatnonzero(channels.rates >= 0)
+    into, out = np.concatenate([channels.wires, channels.rates[moving]]), channels.wires
     if not system.dt and system.wire_delay.any():
-        H = _delayed(A, B, C, D, system.wire_delay, frequencies)
+        H = _delayed(A, B, C, D, system.wire_delay, frequencies, into, out)
     else:
         through = np.linalg.inv(np.eye(nw) - D) if D.any() else np.eye(nw)
-        H = _response(A + B @ through @ C, B @ through, through @ C, s) + through
-    chosen = H[:, channels.wires[:, None], channels.wires]
-    moving = np.flatnonzero(channels.rates >= 0)
+        H = _response(A + B @ through @ C, B @ through[:, into], through[out] @ C, s) + through[np.ix_(out, into)]
+    chosen = H[:, :, : out.size]
     if moving.size:
-        chosen[:, :, moving] += s[:, None, None] * H[:, channels.wires[:, None], channels.rates[moving]]
+        chosen[:, :, moving] += s[:, None, None] * H[:, :, out.size :]
     return chosen
 
 
@@ -85,17 +87,17 @@ def _response(A: Array, B: Array, C: Array, s: Complex) -> Complex:
     """C (sI - A)^-1 B for each s, by modes where these are well conditioned, else by solving."""
     poles, V = np.linalg.eig(A)
     if np.linalg.cond(V) < CONDITION:
-        gap = 1 / (s[:, None] - poles)
-        left, right = C @ V, np.linalg.solve(V, B.astype(complex))
-        return np.asarray((left * gap[:, None, :]) @ right)
+        residues = (C @ V).T[:, :, None] * np.linalg.solve(V, B.astype(complex))[:, None, :]
+        H = (1 / (s[:, None] - poles)) @ residues.reshape(len(A), -1)
+        return np.asarray(H.reshape(s.size, *residues.shape[1:]))
     return np.asarray(C @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B.astype(complex), (s.size, *B.shape))))
 
 
-def _delayed(A: Array, B: Array, C: Array, D: Array, delay: Array, w: Array) -> Complex:
-    """All-wire response (nf, nw, nw) with every wire closed through its dead time: input behind the cut, output what goes on there."""
+def _delayed(A: Array, B: Array, C: Array, D: Array, delay: Array, w: Array, into: Ints, out: Ints) -> Complex:
+    """Response (nf, out, into) with every wire closed through its dead time: input behind the cut, output what goes on there."""
     E = np.exp(-1j * w[:, None] * delay)[:, :, None]
     through = np.linalg.inv(np.eye(len(delay)) - E * D)
-    into = B @ through
+    force = B @ through
     back = through @ (E * C)
-    closed = 1j * w[:, None, None] * np.eye(len(A)) - A - into @ (E * C)
-    return np.asarray(back @ np.linalg.solve(closed, into) + through)
+    closed = 1j * w[:, None, None] * np.eye(len(A)) - A - force @ (E * C)
+    return np.asarray(back[:, out] @ np.linalg.solve(closed, force[:, :, into]) + through[:, out[:, None], into])
