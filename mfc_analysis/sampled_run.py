@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.equations import Inputs, Wires
+from mfc_analysis.equations import Equations, Inputs, Wires
 from mfc_analysis.maths.dual import Dual, Vector, value
+from mfc_analysis.maths.expm import expm_integral
 
 if TYPE_CHECKING:
     from mfc_analysis.simulation import _Run
@@ -90,7 +91,7 @@ def run_sampled(run: _Run, asked: Array, x0: Array) -> None:
     start, end = float(asked[0]), float(asked[-1])
     plant = np.array(e.plant_states, int)
     own = np.setdiff1d(np.arange(e.nx), plant)
-    advance = _held_input_step(run, start, x0, own, T)
+    advance = own_states_step(e, start, x0, T)
     x = x0.copy()
     sent: list[Array] = []  # commands of the samples so far
     whole, rest = int(np.floor(delay / T + 1e-9)), 0.0
@@ -139,22 +140,17 @@ def _own_rates(run: _Run, rates: dict[str, Vector], own: Array) -> Array:
     return out[own]
 
 
-def _held_input_step(run: _Run, t: float, x0: Array, own: Array, T: float) -> Array:
-    """The matrix that takes the law's own rates to their change over a sample with inputs held: T phi_1(T A_own)."""
-    from scipy.linalg import expm
-
-    e = run.equations
-    if not own.size:
+def own_states_step(e: Equations, t: float, x0: Array, T: float) -> Array:
+    """The matrix that takes the rates of the law's own states to their change over a sample with inputs held: T phi_1(T A_own)."""
+    own = np.setdiff1d(np.arange(e.nx), np.array(e.plant_states, int))
+    k = own.size
+    if k == 0:
         return np.zeros((0, 0))
-    tangent = np.zeros((e.nx, own.size))
-    tangent[own, np.arange(own.size)] = 1.0
-    seeded = e.split(Dual(x0, tangent))
-    _, rates = e.control(t, seeded, value(e.touch(e.split(x0)).wrench), Wires(), Inputs())
-    A = np.zeros((e.nx, own.size))
+    tangent = np.zeros((e.nx, k))
+    tangent[own, np.arange(k)] = 1.0
+    _, rates = e.control(t, e.split(Dual(x0, tangent)), value(e.touch(e.split(x0)).wrench), Wires(), Inputs())
+    A = np.zeros((e.nx, k))
     for name, rate in rates.items():
         if isinstance(rate, Dual):
             A[e.parts[name].where] = rate.tangent
-    k = own.size
-    block = np.zeros((2 * k, 2 * k))
-    block[:k, :k], block[:k, k:] = A[own], np.eye(k)
-    return np.asarray(expm(block * T)[:k, k:])
+    return np.asarray(expm_integral(A[own][None], np.eye(k)[None], T)[1][0])

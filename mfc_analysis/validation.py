@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mfc_analysis.analysis.floquet import accumulated
 from mfc_analysis.errors import MfcError
 from mfc_analysis.maths import checks
+from mfc_analysis.prediction import delayed, sampled_along, sampled_at_rest
 from mfc_analysis.time_varying import TIGHT, transitions_along
 
 if TYPE_CHECKING:
@@ -101,32 +102,11 @@ def _predict(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> 
     """(N, nx) the linear deviation from a unit disturbance, along the base run."""
     hardware = loop.equations.hardware
     if hardware.sample_time is not None:
-        return _sampled_prediction(loop, base, t, direction)
+        at_rest = np.abs(base.x - base.x[0]).max() <= 1e-9 * (1 + np.abs(base.x[0]).max())
+        return sampled_at_rest(loop, base, t, direction) if at_rest else sampled_along(loop, base, t, direction)
     if hardware.delay is not None or hardware.force_delay is not None:
-        from mfc_analysis.delayed_prediction import delayed_prediction
-
-        return delayed_prediction(loop, base, t, direction)
+        return delayed(loop, base, t, direction)
     return accumulated(transitions_along(loop, base, t)) @ direction
-
-
-def _sampled_prediction(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> Array:
-    lin = loop.linearize(t[:-1], about="simulation", simulation=base, coordinates="state")
-    opened, nx = lin.opened, loop.equations.nx
-    x = np.zeros(opened.nx)
-    x[:nx] = direction
-    # samples under way at the start carry what the law commands (the sensor reads) at the disturbed start
-    first = opened.C[0, opened.ny :, :] @ x
-    for i, name in enumerate(opened.state_names[nx:], start=nx):
-        point, _, channel = name.partition("[")
-        wires = opened.wires[point.strip("_ ")]
-        j = opened.wire_names[wires].index(channel.partition("]")[2].strip("_ "))
-        x[i] = first[wires.start + j]
-    out = np.empty((len(t), nx))
-    for k, A in enumerate(lin.A):
-        out[k] = x[:nx]
-        x = A @ x
-    out[-1] = x[:nx]
-    return out
 
 
 def _order(sizes: Array, remainders: Array) -> float:
