@@ -5,7 +5,7 @@ from mfc_analysis.plots.batch import drawn
 from mfc_analysis.plots.block import block
 from mfc_analysis.plots.disc import disk, multipliers
 from mfc_analysis.plots.figure import axes_for, panels_for, svg
-from mfc_analysis.plots.frequency import bode, nyquist
+from mfc_analysis.plots.frequency import bode, frequencies_of, nyquist, of_channel
 from mfc_analysis.plots.maps import stability_map
 from mfc_analysis.plots.margins import margin_history, margins
 from mfc_analysis.plots.poles import poles
@@ -21,10 +21,12 @@ __all__ = [
     "curves",
     "disk",
     "drawn",
+    "frequencies_of",
     "margin_history",
     "margins",
     "multipliers",
     "nyquist",
+    "of_channel",
     "panels_for",
     "poles",
     "stability_map",

@@ -83,6 +83,6 @@ def _arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> No
 
 
 def _point(ax: Axes, x: float, y: float, name: str, used: bool) -> None:
-    color = sheet.LIMIT if used else sheet.GREY
+    color = sheet.BAD if used else sheet.GREY
     ax.plot([x], [y], marker="o", markersize=5.5, markerfacecolor=color if used else "none", markeredgecolor=color, markeredgewidth=1.2)
     sheet.note(ax, name, (x, y - (0.4 if y == _TOP else 0.17)), color=color, ha="center")

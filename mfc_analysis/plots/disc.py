@@ -68,7 +68,7 @@ def disk(
         ax.axvline(low, color=sheet.colour(index), linewidth=1.2)
     for side in (1, -1):
         angle = np.radians(phase_deg) * side
-        ax.plot([0, np.cos(angle)], [0, np.sin(angle)], color=sheet.LIMIT, linewidth=1.0)
+        ax.plot([0, np.cos(angle)], [0, np.sin(angle)], color=sheet.INK, linewidth=1.0)
     ax.plot([1], [0], marker="+", markersize=8, markeredgewidth=1.4, color=sheet.INK)
     upper = sheet.written(high) if np.isfinite(high) else "any"
     words = f"α = {sheet.written(alpha)}: gain {sheet.written(low)} to {upper}, ±{sheet.written(phase_deg)}°"

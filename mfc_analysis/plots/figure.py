@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-JOINTS = ("#0072b2", "#c44e00", "#00795a", "#9b3f84", "#7a6200", "#5a4fcf", "#a8324a", "#3b6470")  #: a joint's colour, on every page
-LIMIT = "#b45309"  #: what was asked
+JOINTS = ("#0072b2", "#c44e00", "#00795a", "#9b3f84", "#7a6200", "#5a4fcf", "#8a5a44", "#3b6470")  #: a joint's colour, on every page
+LIMIT = "#3d444d"  #: what was asked
 GOOD, BAD = "#00795a", "#b3261e"
 GREY, GRID, SHADE = "#6b7280", "#d5d9de", "#fbeee4"
 INK = "#000000"

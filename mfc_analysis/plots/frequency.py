@@ -35,6 +35,8 @@ def bode(
     phase_margin: float = np.nan,
     gain_increase: float = np.inf,
     gain_reduction: float = 0.0,
+    increase_frequency: float | None = None,
+    reduction_frequency: float | None = None,
     index: int = 0,
     title: str = "Open loop L(jω)",
     axes: tuple[Axes, Axes] | None = None,
@@ -43,7 +45,8 @@ def bode(
 
     Args:
         frequencies: (nf,) [rad/s]; L: (nf,) complex.
-        crossover [rad/s], phase_margin [deg], gain_increase and gain_reduction (factors): as in ``Margins``.
+        crossover [rad/s], phase_margin [deg], gain_increase and gain_reduction (factors), and their frequencies [rad/s]: as in ``Margins``.
+            Without its frequency a gain margin stands where the drawn curve crosses the negative real axis.
         index: the joint, for its colour.
     """
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)
@@ -59,8 +62,8 @@ def bode(
     upper.set_ylim(max(gain.min(), -100) - 5, min(gain.max(), 120) + 5)
     if np.isfinite(crossover) and np.isfinite(phase_margin):
         _phase_arrow(upper, lower, w, phase, crossover, phase_margin)
-    for factor in (gain_increase, gain_reduction):
-        _gain_arrow(upper, lower, w, values, gain, factor)
+    for factor, where in ((gain_increase, increase_frequency), (gain_reduction, reduction_frequency)):
+        _gain_arrow(upper, lower, w, values, factor, where)
     sheet.hide_times((upper, lower))
     sheet.label(upper, "", "|L| [dB]", title)
     sheet.label(lower, "ω [rad/s]", "arg L [deg]")
@@ -78,30 +81,31 @@ def _phase_ticks(ax: Axes, phase: Array) -> None:
 def _phase_arrow(upper: Axes, lower: Axes, w: Array, phase: Array, crossover: float, margin: float) -> None:
     at = float(np.interp(np.log(crossover), np.log(w), phase))
     for ax in (upper, lower):
-        ax.axvline(crossover, color=sheet.GOOD, linewidth=0.8, linestyle="--")
+        ax.axvline(crossover, color=sheet.INK, linewidth=0.8, linestyle="--")
     lower.annotate(
-        "", (crossover, at), (crossover, -180), arrowprops={"arrowstyle": "<->", "color": sheet.GOOD, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
+        "", (crossover, at), (crossover, -180), arrowprops={"arrowstyle": "<->", "color": sheet.INK, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
     )
     below = at > -180
-    _beside(lower, w, f"PM {sheet.written(margin)}°", crossover, -180, sheet.GOOD, (0, -7 if below else 7))
+    _beside(lower, w, f"PM {sheet.written(margin)}°", crossover, -180, sheet.INK, -7 if below else 7)
 
 
-def _gain_arrow(upper: Axes, lower: Axes, w: Array, values: NDArray[np.complex128], gain: Array, factor: float) -> None:
+def _gain_arrow(upper: Axes, lower: Axes, w: Array, values: NDArray[np.complex128], factor: float, where: float | None) -> None:
     if not np.isfinite(factor) or factor <= 0:
         return
-    where = _crossing(w, values, factor)
-    if where is None:
+    where = _crossing(w, values, factor) if where is None else where
+    if where is None or not w[0] <= where <= w[-1]:
         return
     db = 20 * np.log10(factor)
     for ax in (upper, lower):
-        ax.axvline(where, color=sheet.LIMIT, linewidth=0.8, linestyle=":")
-    upper.annotate("", (where, -db), (where, 0), arrowprops={"arrowstyle": "<->", "color": sheet.LIMIT, "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
-    _beside(upper, w, f"GM {sheet.written(db)} dB", where, 0, sheet.LIMIT, (0, 7 if db > 0 else -7))
+        ax.axvline(where, color=sheet.INK, linewidth=0.8, linestyle=":")
+    upper.annotate("", (where, -db), (where, 0), arrowprops={"arrowstyle": "<->", "color": sheet.INK, "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
+    _beside(upper, w, f"GM {sheet.written(db)} dB", where, 0, sheet.INK, 7 if db > 0 else -7, left=db < 0)
 
 
-def _beside(ax: Axes, w: Array, text: str, x: float, y: float, color: str, shift: tuple[float, float]) -> None:
-    right = np.log(x / w[0]) > 0.75 * np.log(w[-1] / w[0])
-    sheet.note(ax, text, (x, y), color=color, ha="right" if right else "left", shift=(-3 if right else 3, shift[1]))
+def _beside(ax: Axes, w: Array, text: str, x: float, y: float, color: str, up: float, left: bool = False) -> None:
+    part = np.log(x / w[0]) / np.log(w[-1] / w[0])
+    right = part > 0.75 or (left and part > 0.25)
+    sheet.note(ax, text, (x, y), color=color, ha="right" if right else "left", shift=(-3 if right else 3, up))
 
 
 def _crossing(w: Array, values: NDArray[np.complex128], factor: float) -> float | None:
@@ -154,25 +158,30 @@ def nyquist(
     ax.axhline(0, color=sheet.GRID, linewidth=0.8)
     if np.isfinite(sensitivity_peak) and sensitivity_peak > 0:
         radius = 1 / sensitivity_peak
-        ax.plot(-1 + radius * np.cos(turn), radius * np.sin(turn), color=sheet.LIMIT, linewidth=1.0)
-        sheet.note(ax, f"1/Ms = {sheet.written(radius)}", (-1, -radius - 0.14), color=sheet.LIMIT, ha="center", va="top")
+        ax.plot(-1 + radius * np.cos(turn), radius * np.sin(turn), color=sheet.INK, linewidth=1.0)
+        sheet.note(ax, f"1/Ms = {sheet.written(radius)}", (-1, -radius - 0.14), color=sheet.INK, ha="center", va="top")
     if np.isfinite(crossover) and np.isfinite(phase_margin):
         at = complex(np.interp(np.log(crossover), np.log(w), values.real), np.interp(np.log(crossover), np.log(w), values.imag))
         arc = np.linspace(np.pi, np.pi + np.radians(phase_margin) * (1 if at.imag < 0 else -1), 60)
-        ax.plot(np.cos(arc), np.sin(arc), color=sheet.GOOD, linewidth=1.6)
-        ax.plot([at.real], [at.imag], marker="o", markersize=3.5, color=sheet.GOOD)
+        ax.plot(np.cos(arc), np.sin(arc), color=sheet.INK, linewidth=1.6)
+        ax.plot([at.real], [at.imag], marker="o", markersize=3.5, color=sheet.INK)
     for factor in (gain_increase, gain_reduction):
         if np.isfinite(factor) and factor > 0 and 1 / factor < 4:
-            ax.plot([-1 / factor], [0], marker="|", markersize=9, markeredgewidth=1.4, color=sheet.LIMIT)
+            ax.plot([-1 / factor], [0], marker="|", markersize=9, markeredgewidth=1.4, color=sheet.INK)
     sheet.label(ax, "Re L", "Im L", title)
     return ax
 
 
 def of_channel(found: Any, row: int, channel: int) -> dict[str, float]:
-    """The keywords of ``bode`` from a ``Margins`` at one time and channel."""
+    """Keywords of both ``bode`` and ``nyquist`` from a ``Margins`` at one time and channel."""
     return {
         "crossover": float(found.crossover[row, channel]),
         "phase_margin": float(found.phase_deg[row, channel]),
         "gain_increase": float(found.gain_increase[row, channel]),
         "gain_reduction": float(found.gain_reduction[row, channel]),
     }
+
+
+def frequencies_of(found: Any, row: int, channel: int) -> dict[str, float]:
+    """The frequencies of the gain margins, for ``bode``, from a ``Margins``."""
+    return {name: float(getattr(found, name)[row, channel]) for name in ("increase_frequency", "reduction_frequency")}

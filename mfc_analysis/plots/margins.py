@@ -68,7 +68,7 @@ def margins(found: Any, *, figure: str = "phase_deg", asked: float | None = None
         said = "no limit at any time" if np.isposinf(values).any() else "unstable at every time"
         sheet.empty(ax, said)
     elif not np.isfinite(values[np.asarray(found.stable, bool)]).all():
-        sheet.note(ax, "no limit where no line is drawn", (0.01, 0.06), color=sheet.GREY, inside=True)
+        sheet.note(ax, "no limit where no line is drawn", (0.99, 0.93), color=sheet.GREY, ha="right", inside=True)
     sheet.label(ax, "t [s]", _NAMES[figure])
     if alone and len(found.channels) > 1:
         sheet.legend(ax, above=True)
@@ -79,10 +79,14 @@ def margin_history(
     found: Any,
     asked: Mapping[str, float] | None = None,
     *,
-    figures: tuple[str, ...] = ("phase_deg", "gain_increase_db", "delay", "sensitivity_peak"),
+    figures: tuple[str, ...] | None = None,
     title: str = "",
 ) -> tuple[Axes, ...]:
-    """Several figures of a ``Margins`` above one another, with the limits of ``asked`` (by the names of ``Requirements``)."""
+    """Several figures of a ``Margins`` above one another, with the limits of ``asked`` (by the names of ``Requirements``).
+
+    ``figures``: one to four of those of ``margins``; default: phase, the tighter side of the gain, delay, sensitivity peak.
+    """
+    figures = figures if figures is not None else ("phase_deg", _tighter(found), "delay", "sensitivity_peak")
     kinds = {1: "time history", 2: "two histories", 3: "three histories", 4: "four histories"}
     if len(figures) not in kinds:
         raise UnknownName("figures", len(figures), map(str, kinds))
@@ -98,6 +102,12 @@ def margin_history(
     sheet.label(axes[0], title=title)
     sheet.legend(axes[0], columns=8, above=True)
     return axes
+
+
+def _tighter(found: Any) -> str:
+    both = ("gain_increase_db", "gain_reduction_db")
+    least = [np.min(v, initial=np.inf, where=np.isfinite(v)) for v in (figure_values(found, name) for name in both)]
+    return both[int(least[1] < least[0])]
 
 
 def _unstable(ax: Axes, times: Array, stable: NDArray[np.bool_]) -> None:

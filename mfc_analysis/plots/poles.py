@@ -58,7 +58,8 @@ def _half_plane(ax: Axes, s: np.ndarray, damping: float | None) -> None:
     reach = largest * 2.2
     right = max(threshold * 1.5, 2.2 * float(max(s.real.max(initial=0.0), 0.0)))
     ax.set_xlim(-reach, right)
-    ax.set_ylim(-reach, reach)
+    up = max(2.2 * float(np.abs(s.imag).max(initial=0.0)), threshold * 3)
+    ax.set_ylim(-up, up)
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=threshold))
         axis.set_minor_locator(NullLocator())

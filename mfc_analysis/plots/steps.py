@@ -43,13 +43,13 @@ def step(
     upper.plot(time, np.asarray(y, float), color=sheet.colour(index), linewidth=1.4, label="linear")
     if nonlinear is not None:
         upper.plot(
-            np.asarray(nonlinear[0], float), np.asarray(nonlinear[1], float), color=sheet.LIMIT, linewidth=1.2, linestyle="--", label="nonlinear"
+            np.asarray(nonlinear[0], float), np.asarray(nonlinear[1], float), color=sheet.INK, linewidth=1.1, linestyle="--", label="nonlinear"
         )
     if torque is not None:
         lower.plot(
             np.asarray(torque[0], float),
             np.asarray(torque[1], float),
-            color=sheet.LIMIT if nonlinear is not None else sheet.colour(index),
+            color=sheet.colour(index),
             linewidth=1.2,
         )
     else:

@@ -19,7 +19,7 @@ Element = ElementTree.Element
 
 _W1, _W2, _H = 330.0, 350.0, 290.0  # [pt] widths of the two drawings and their height
 _MOST = 121  # times kept for the page
-_INK, _GRID, _GREY, _SHADE, _LINE, _DOT, _LIMIT = "#000000", "#d5d9de", "#6b7280", "#fbeee4", "#0072b2", "#c44e00", "#b45309"
+_INK, _GRID, _GREY, _SHADE, _LINE, _DOT, _LIMIT = "#000000", "#d5d9de", "#6b7280", "#fbeee4", "#0072b2", "#c44e00", "#3d444d"
 
 
 @dataclass(frozen=True)
