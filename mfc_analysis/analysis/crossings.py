@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels
+from mfc_analysis.analysis.exclusion import Intervals, crossover_intervals, narrowed
 from mfc_analysis.analysis.resolvent import Resolvent
 
 Array = NDArray[np.float64]
@@ -45,15 +46,29 @@ class Crossings:
             return np.asarray(-self.H / (1 + self.H))
 
 
-def crossings(found: Resolvent) -> tuple[Crossings, Crossings]:
-    """All gain crossovers (|L| = 1) and all phase crossings (L real) at 0 < w < inf of every point and channel."""
-    ch = found.ch
-    gain, phase = _squared_frequencies(ch, found.poles)
-    return _polished(found, *_candidates(gain), gain=True), _polished(found, *_candidates(phase), gain=False)
+def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossings]:
+    """All gain crossovers (|L| = 1) and all phase crossings (L real) at 0 < w < inf of every point and channel.
+
+    ``H``: (m, n, k) on the rising frequencies ``w`` (m, k) of interest: where modes are known, the crossovers are isolated
+    between them by ``exclusion``, which is cheaper than their eigenvalue problem; that one serves where exclusion gives up.
+    """
+    left = np.ones(found.ch.H0.shape, bool)  # crossovers left to the eigenvalue problem
+    parts = []
+    modal = np.flatnonzero(found.modal)
+    if modal.size:
+        some, failed = crossover_intervals(found.some(modal), w[modal], H[modal])
+        left[modal] = failed
+        some = Intervals(modal[some.point], some.channel, some.a, some.b, some.fa, some.fb)
+        parts.append((some.point, some.channel, narrowed(found, some)))
+    left &= ~found.ch.empty
+    gain, phase = _squared_frequencies(found.ch, found.poles, left)
+    parts.append(_candidates(gain))
+    at_gain = _polished(found, *(np.concatenate(x) for x in zip(*parts, strict=True)), gain=True)
+    return at_gain, _polished(found, *_candidates(phase), gain=False)
 
 
-def _squared_frequencies(ch: Channels, poles: Complex) -> tuple[Complex, Complex]:
-    """w^2 (m, n, nx) of the gain crossovers and of the phase crossings; complex ones and infinity included."""
+def _squared_frequencies(ch: Channels, poles: Complex, with_gain: NDArray[np.bool_]) -> tuple[Complex, Complex]:
+    """w^2 (m, n, nx) of the gain crossovers, of the channels ``with_gain`` (m, n), and of the phase crossings; NaN, complex, infinite ones included."""
     m, nx = ch.A.shape[:2]
     n = ch.B.shape[2]
     size = np.abs(poles)
@@ -64,13 +79,14 @@ def _squared_frequencies(ch: Channels, poles: Complex) -> tuple[Complex, Complex
     Gb, AGb, cG = G @ ch.B, AG @ ch.B, ch.C @ G
     cGb = np.einsum("mnx,mxn->mn", ch.C, Gb)
     gap = ch.H0 + 0.5 - np.einsum("mnx,mxn->mn", ch.C, AGb)
-    both = np.empty((2, m, n, nx, nx))
-    both[0] = G[:, None] + np.swapaxes(AGb, 1, 2)[..., :, None] * cG[:, :, None, :] / _nonzero(gap)[..., None, None]
-    both[1] = G[:, None] - np.swapaxes(Gb, 1, 2)[..., :, None] * cG[:, :, None, :] / _nonzero(cGb)[..., None, None]
-    inverse = np.linalg.eigvals(both.reshape(-1, nx, nx)).reshape(2, m, n, nx)
+    inverse = np.full((2, m, n, nx), np.nan, np.complex128)
+    for which, column, scale, wanted in ((0, AGb, gap, with_gain), (1, -Gb, cGb, ~ch.empty)):
+        p, k = np.nonzero(wanted)
+        if p.size:
+            row = cG[p, k] / _nonzero(scale[p, k])[:, None]
+            inverse[which, p, k] = np.linalg.eigvals(G[p] + column[p, :, k][:, :, None] * row[:, None, :])
     with np.errstate(divide="ignore", invalid="ignore"):
         squared = (shift**2)[:, None, None] - 1 / inverse
-    squared[:, ch.empty] = np.nan
     return squared[0], squared[1]
 
 

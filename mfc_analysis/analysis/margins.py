@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, continuous
 from mfc_analysis.analysis.crossings import Crossings, crossings
-from mfc_analysis.analysis.peak import sensitivity_peak
+from mfc_analysis.analysis.peak import frequencies_of_interest, sensitivity_peak
 from mfc_analysis.analysis.poles import Spectrum, spectrum, stability
 from mfc_analysis.analysis.resolvent import resolvent
 from mfc_analysis.analysis.system import OpenSystem
@@ -150,7 +151,8 @@ def margins(system: OpenSystem, at: str) -> Margins:
     Source: the crossings follow from S_i(s) = d + c (sI - A)^-1 b, see ``crossings``.
     """
     ch = channels(system, at)
-    known = spectrum(system)
+    modes = np.linalg.eig(ch.A)
+    known = spectrum(system, modes[0].astype(np.complex128))
     verdict = stability(system, known)
     judged = verdict.nonzero_stable & (system.nx > known.roots.count)
     if system.wire_delay.any() and not system.dt:
@@ -158,20 +160,26 @@ def margins(system: OpenSystem, at: str) -> Margins:
 
         figures = delayed_figures(system, at, judged, known)
     else:
-        figures = _figures(ch, judged, known)
+        figures = _figures(ch, judged, known, (modes[0], modes[1]))
     if at == "force":
         for values in vars(figures).values():
             values[ch.empty] = np.nan
     return Margins(system.times, at, ch.names, verdict.stable, verdict.drifts, **vars(figures))
 
 
-def _figures(ch: Channels, judged: Bools, known: Spectrum) -> Figures:
-    """Figures of all points, in groups of the same number of roots at zero; NaN where not judged."""
+Modes = tuple[NDArray[Any], NDArray[Any]]  # eigenvalues (m, nx) and vectors (m, nx, nx)
+
+
+def _figures(ch: Channels, judged: Bools, known: Spectrum, modes: Modes) -> Figures:
+    """Figures of all points, in groups of the same number of roots at zero; NaN where not judged. ``modes``: of the channels' A."""
     m, n = ch.H0.shape
     figures = Figures(*(np.full((m, n), np.nan) for _ in range(10)))
     plain = np.flatnonzero(judged & (known.roots.count == 0))
     if plain.size:
-        _put(figures, plain, _figures_of(continuous(ch.at(plain)), ch.dt))
+        poles = modes[0][plain]
+        if ch.dt:
+            poles = (poles - 1) / (poles + 1)
+        _put(figures, plain, _figures_of(continuous(ch.at(plain)), ch.dt, modes=(poles, modes[1][plain])))
     for count in np.unique(known.roots.count[judged & (known.roots.count > 0)]):
         some = np.flatnonzero(judged & (known.roots.count == count))
         clean, seen = _without_zeros(ch.at(some))
@@ -207,14 +215,17 @@ def _without_zeros(ch: Channels) -> tuple[Channels, Bools]:
     return Channels(ch.names, A, B, C, ch.H0, ch.dt), seen
 
 
-def _figures_of(ch: Channels, dt: float, sees_zero: Bools | None = None) -> Figures:
+def _figures_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: Modes | None = None) -> Figures:
     """Figures of stable channels in the s plane (or the w plane of a loop sampled at ``dt``)."""
-    found = resolvent(ch)
-    gain, phase = crossings(found)
+    found = resolvent(ch, modes)
+    w = frequencies_of_interest(found.poles)
+    H = found.on(w)
     at_zero = _at_zero(ch)
     if sees_zero is not None:
         at_zero = np.where(sees_zero, np.nan, at_zero)
-    peak, peak_at = sensitivity_peak(found, at_zero.astype(np.complex128))
+    from_zero = np.concatenate([at_zero.astype(np.complex128)[:, :, None], H], axis=2)
+    gain, phase = crossings(found, np.pad(w, ((0, 0), (1, 0))), from_zero)
+    peak, peak_at = sensitivity_peak(found, at_zero, w, H)
     if sees_zero is not None:
         peak, peak_at = np.where(sees_zero, np.inf, peak), np.where(sees_zero, 0.0, peak_at)
     figures = assembled(gain, phase, at_zero, ch.H0, lambda w: frequency(w, dt))

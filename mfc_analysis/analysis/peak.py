@@ -13,9 +13,12 @@ from mfc_analysis.analysis.resolvent import Resolvent
 
 Array = NDArray[np.float64]
 
-AROUND = np.array([-6.0, -2.5, -1.0, -0.4, 0.0, 0.4, 1.0, 2.5, 6.0])  #: places around a pole, in units of its decay rate
-LADDER = 12  #: frequencies spread evenly in the logarithm from the slowest to the fastest pole
-CLIMBED = 3  #: local maxima climbed in each channel
+AT = np.array([-2.5, -1.0, 0.0, 1.0, 2.5])  #: places around a pole, in units of its decay rate,
+BETWEEN = np.array([-6.0, -0.4, 0.4, 6.0])  #: and more of them around its conjugate
+BESIDE = np.array([0.3, 0.6, 1.0, 1.7, 3.5])  #: places around a real pole, in units of its modulus
+LADDER = 20  #: frequencies spread evenly in the logarithm from the slowest to the fastest pole
+CLIMBED = 3  #: local maxima climbed in each channel,
+NEAR = 0.7  #: if they are at least this part of the highest
 
 
 def frequencies_of_interest(poles: NDArray[np.complex128]) -> Array:
@@ -23,27 +26,33 @@ def frequencies_of_interest(poles: NDArray[np.complex128]) -> Array:
     size = np.abs(poles)
     top = size.max(axis=1, keepdims=True)
     size = np.where(size > 1e-9 * top, size, top)
-    near = np.abs(poles.imag)[:, :, None] + np.abs(poles.real)[:, :, None] * AROUND
-    near = np.where(poles.imag[:, :, None] >= 0, near, size[:, :, None] * 1.7 ** (AROUND / 2))
-    slow, fast = np.log(size.min(axis=1)) - 2.3, np.log(top[:, 0]) + 2.3
+    rate, height = np.abs(poles.real)[:, :, None], np.abs(poles.imag)[:, :, None]
+    near = np.where(poles.imag[:, :, None] > 0, height + rate * AT, size[:, :, None] * BESIDE)
+    near = np.where(poles.imag[:, :, None] < 0, np.concatenate([height + rate * BETWEEN, size[:, :, None]], axis=2), near)
+    slow, fast = np.log(size.min(axis=1)) - 4.6, np.log(top[:, 0]) + 4.6
     ladder = np.exp(slow[:, None] + (fast - slow)[:, None] * np.linspace(0, 1, LADDER))
-    every = np.concatenate([near.reshape(len(poles), -1), size, ladder], axis=1)
+    every = np.concatenate([near.reshape(len(poles), -1), ladder], axis=1)
     return np.sort(np.where(every > 0, every, ladder[:, :1]), axis=1)
 
 
-def sensitivity_peak(found: Resolvent, at_zero: NDArray[np.complex128]) -> tuple[Array, Array]:
-    """Largest |S_i| (m, n) and its frequency (m, n) [rad/s], 0 and inf included. ``at_zero``: S_i(0) - 1 (m, n), NaN: not looked at."""
-    w = frequencies_of_interest(found.poles)
-    size = np.abs(1 + found.on(w))
+def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: NDArray[np.complex128]) -> tuple[Array, Array]:
+    """Largest |S_i| (m, n) and its frequency (m, n) [rad/s], 0 and inf included.
+
+    ``at_zero``: S_i(0) - 1 (m, n), NaN: not looked at; ``H``: S_i - 1 (m, n, k) on frequencies of interest ``w`` (m, k).
+    """
+    size = np.abs(1 + H)
     ends = np.stack([np.abs(1 + at_zero), np.abs(1 + found.ch.H0)])
     low, high = np.pad(size, ((0, 0), (0, 0), (1, 0)))[..., :-1], np.pad(size, ((0, 0), (0, 0), (0, 1)))[..., 1:]
     top = (size >= low) & (size >= high)
+    top[..., [0, -1]] = False  # a hundred times slower or faster than every pole: the ends' own
+    best = np.maximum(size.max(axis=2), np.where(np.isnan(ends), 0.0, ends).max(axis=0))
+    top &= size > NEAR * best[..., None]
     ranked = np.argsort(np.where(top, -size, 0.0), axis=2)[..., :CLIMBED]
-    point, channel, _ = np.indices(ranked.shape)
-    value, where = _climbed(found, w, point.ravel(), channel.ravel(), ranked.ravel())
-    value, where = value.reshape(ranked.shape), where.reshape(ranked.shape)
-    best = value.argmax(axis=2)[..., None]
-    peak, at = np.take_along_axis(value, best, 2)[..., 0], np.take_along_axis(where, best, 2)[..., 0]
+    point, channel, rank = np.nonzero(np.take_along_axis(top, ranked, 2))
+    value, where = _climbed(found, w, point, channel, ranked[point, channel, rank])
+    peak, at = np.zeros(best.shape), np.full(best.shape, np.inf)
+    order = np.argsort(value, kind="stable")  # of several the last written, the highest, stays
+    peak[point[order], channel[order]], at[point[order], channel[order]] = value[order], where[order]
     for end, frequency in zip(ends, (0.0, np.inf), strict=True):
         better = end >= peak * (1 - 1e-12)
         peak, at = np.where(better, end, peak), np.where(better, frequency, at)

@@ -70,18 +70,36 @@ class Resolvent:
         return H, slope
 
 
-def resolvent(ch: Channels) -> Resolvent:
-    """Modes of the channels' common A, and at which points they can be trusted."""
-    poles, V = np.linalg.eig(ch.A)
+    def some(self, index: NDArray[np.bool_]) -> Resolvent:
+        """The same at some of the points."""
+        return Resolvent(self.ch.at(index), self.poles[index], self.residues[index], self.modal[index])
+
+
+def resolvent(ch: Channels, modes: tuple[Complex, Complex] | None = None) -> Resolvent:
+    """Modes of the channels' common A, and at which points they can be trusted. ``modes``: eigenvalues and vectors where they are known."""
+    poles, V = np.linalg.eig(ch.A) if modes is None else modes
     poles, V = poles.astype(np.complex128), V.astype(np.complex128)
-    m = len(ch.A)
-    modal = np.abs(np.linalg.det(V)) > 0
-    inverse = np.zeros_like(V)
-    inverse[modal] = np.linalg.inv(V[modal])
-    condition = np.linalg.norm(V.reshape(m, -1), axis=1) * np.linalg.norm(inverse.reshape(m, -1), axis=1)
-    modal = modal & np.isfinite(condition) & (condition < CONDITION * np.sqrt(ch.A.shape[-1]))
+    try:
+        inverse, modal = np.linalg.inv(V), np.ones(len(V), bool)
+    except np.linalg.LinAlgError:
+        modal = np.abs(np.linalg.det(V)) > 0
+        inverse = np.zeros_like(V)
+        inverse[modal] = np.linalg.inv(V[modal])
+    modal = modal & (_condition(V, inverse) < CONDITION * ch.A.shape[-1])
     residues = (ch.C @ V) * np.swapaxes(inverse @ ch.B, 1, 2)
     return Resolvent(ch, poles, residues, modal)
+
+
+def _condition(V: Complex, inverse: Complex) -> Array:
+    """(m,) condition numbers of V with rows, then columns, scaled to one: units of the states don't count. NaN counts as large."""
+    size, back = np.abs(V), np.abs(inverse)
+    rows = np.sqrt((size * size).sum(axis=2))
+    size = size / rows[:, :, None]
+    columns = np.sqrt((size * size).sum(axis=1))
+    with np.errstate(invalid="ignore", over="ignore"):
+        back = back * rows[:, None, :] * columns[:, :, None]
+        found = np.sqrt(V.shape[-1] * (back * back).sum(axis=(1, 2)))
+    return np.asarray(np.where(np.isfinite(found), found, np.inf))
 
 
 def _solved(A: Array, w: Array, B: Array) -> Complex:
