@@ -49,7 +49,7 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
     picks = []
     for where, slot in equations.parts.values():
         size = where.stop - where.start
-        if size % n or (slot.name == "outer" and getattr(law, "system")[3].shape != (1, 1)):
+        if size % n or (slot.name == "outer" and law.system[3].shape != (1, 1)):  # type: ignore[attr-defined]
             raise Unsupported("decentralised", type(law).__name__, "an outer loop that is the same for each joint")
         picks.append(where.start + np.arange(size).reshape(n, -1))
     index = np.concatenate(picks, axis=1)  # (n, k) the states of each joint

@@ -148,7 +148,7 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tupl
         full = concatenate([none, angle])
         spun = log_rate(full, concatenate([none, _part(V, 3, 6)]))
         rate = concatenate([_part(rate, 0, 3), _part(spun, 3, 6)])
-    force = matvec(surface.K, concatenate([shift, angle])) + matvec(surface.B, rate) + surface.f0
+    force: Vector = matvec(surface.K, concatenate([shift, angle])) + matvec(surface.B, rate) + surface.f0
     if lose_contact:
         force = _push_only(force, surface.index)
     linear = _part(turn.inverse().adjoint(concatenate([_part(force, 0, 3), none])), 0, 3)

@@ -263,7 +263,7 @@ class Equations:
             measured = wires("force", F)
             if "F_filter" in s:
                 assert self.hardware.force_filter is not None
-                rates["F_filter"] = (measured - s["F_filter"]) * (1 / float(self.hardware.force_filter))  # type: ignore[arg-type]
+                rates["F_filter"] = (measured - s["F_filter"]) * (1 / float(self.hardware.force_filter))
                 measured = s["F_filter"]
         law = self.law
         if inputs.F_d is not None:
@@ -309,7 +309,9 @@ class Equations:
             return command
         return elementwise(command, lambda u: np.clip(u, -limit, limit), lambda u: np.where(np.abs(u) <= limit, 1.0, 0.0))
 
-    def _with_measured_acceleration(self, t: float | Array, s: dict[str, Vector], command: Vector, F: Vector, disturbance: Vector, wires: Wires) -> Vector:
+    def _with_measured_acceleration(
+        self, t: float | Array, s: dict[str, Vector], command: Vector, F: Vector, disturbance: Vector, wires: Wires
+    ) -> Vector:
         """9.9 as printed: tau = command - M^(q_d) q'', with q'' of the plant under the very torque that it makes."""
         from mfc_analysis.laws.joint_torque import TorqueFeedforward
 
@@ -323,7 +325,7 @@ class Equations:
             raise TypeError("9.9 as printed is linearised with its torque wire cut")
         rest = self._net(s, command, F, disturbance) - self.plant.rnea(s["q"], s["v"], np.zeros(self.n))
         total = self.plant.at(value(s["q"])).M + self.controller.at(value(ref.q)).M
-        a = np.linalg.solve(total, value(rest)[..., None])[..., 0]
+        a = np.asarray(np.linalg.solve(total, value(rest)[..., None])[..., 0], float)
         return command - law.error_inertia(self.controller, ref, a)
 
     # --- for plain arrays ----------------------------------------------------------------------------------------
@@ -341,17 +343,21 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
     if law.plant == "velocity":
         for field_ in ("torque_lag", "velocity_filter", "joint_stiffness", "torque_limit"):
             if getattr(hardware, field_) is not None:
-                raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), f"a law with torque inputs; {name} commands joint velocities (velocity_lag, delay, sample_time apply)")
+                takes = f"a law with torque inputs; {name} commands joint velocities (velocity_lag, delay, sample_time apply)"
+                raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), takes)
         if equations.surfaces:
-            raise Unsupported("environment", equations.surfaces[0], f"a law with torque inputs; under {name} the joints follow the commanded velocity whatever the force")
+            takes = f"a law with torque inputs; under {name} the joints follow the commanded velocity whatever the force"
+            raise Unsupported("environment", equations.surfaces[0], takes)
     elif hardware.velocity_lag is not None:
-        raise Unsupported("hardware.velocity_lag", hardware.velocity_lag, f"a law with velocity inputs (9.1-9.5); {name} commands torques: use torque_lag")
+        takes = f"a law with velocity inputs (9.1-9.5); {name} commands torques: use torque_lag"
+        raise Unsupported("hardware.velocity_lag", hardware.velocity_lag, takes)
     if not law.senses_force:
         for field_ in ("force_delay", "force_filter"):
             if getattr(hardware, field_) is not None:
                 raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), f"a law that measures the force (9.22-9.24); {name} doesn't")
     if equations.algebraic and (hardware.delay is not None or hardware.sample_time is not None or hardware.elastic):
-        raise Unsupported("hardware", hardware, "no delay, sample_time or elastic joints for 9.9 as printed: its algebraic loop is solved with q'' at the same instant")
+        takes = "no delay, sample_time or elastic joints for 9.9 as printed: its algebraic loop is solved with q'' at the same instant"
+        raise Unsupported("hardware", hardware, takes)
 
 
 def reference_channels(equations: Equations) -> tuple[str, ...]:
@@ -365,11 +371,11 @@ def solve_command_for_slots(jacobian: Array, gap: Array) -> Array:
     """Smallest-norm least-squares states z (..., k) with jacobian (..., n, k) z = gap (..., n)."""
     if jacobian.shape[-1] == jacobian.shape[-2]:
         try:
-            inverse = np.linalg.inv(jacobian)
+            inverse = np.asarray(np.linalg.inv(jacobian), float)
         except np.linalg.LinAlgError:
             pass
         else:
             size = np.linalg.norm(jacobian, axis=(-2, -1)) * np.linalg.norm(inverse, axis=(-2, -1))
             if np.all(size < 1e7):
                 return times(inverse, gap)
-    return times(np.linalg.pinv(jacobian, rcond=1e-10), gap)
+    return times(np.asarray(np.linalg.pinv(jacobian, rcond=1e-10), float), gap)

@@ -87,7 +87,9 @@ class NearPi(MfcError, ValueError):
     def __init__(self, angle: float, time: float | None = None) -> None:
         self.angle, self.time = angle, time
         when = "" if time is None else f" at t = {time:.4g} s"
-        super().__init__(f"pose error{when}: its rotation angle is {angle:.6f} rad, within 1e-3 of pi, where the logarithm jumps; start nearer to the reference")
+        super().__init__(
+            f"pose error{when}: its rotation angle is {angle:.6f} rad, within 1e-3 of pi, where the logarithm jumps; start nearer to the reference"
+        )
 
 
 def _short(value: Any) -> str:

@@ -51,7 +51,8 @@ class Hardware:
             elif given is not None:
                 object.__setattr__(self, f.name, _positive_or_none(f.name, given))
         if (self.joint_stiffness is None) != (self.motor_inertia is None):
-            raise BadArgument("joint_stiffness, motor_inertia", (self.joint_stiffness, self.motor_inertia), "both or neither: an elastic joint needs both")
+            got = (self.joint_stiffness, self.motor_inertia)
+            raise BadArgument("joint_stiffness, motor_inertia", got, "both or neither: an elastic joint needs both")
         if self.joint_damping is not None and self.joint_stiffness is None:
             raise BadArgument("joint_damping", self.joint_damping, "joint_stiffness= and motor_inertia= beside it")
 

@@ -51,7 +51,7 @@ def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coo
     seeded = _seed(x, 0, nx)
     flow = equations.flow(times, seeded, lose_contact=lose_contact)
     rates = equations.join(flow.rates)
-    A = _tangent(rates, x.shape, nx)  # type: ignore[arg-type]
+    A = _tangent(rates, x.shape, nx)
     if coordinates == "state":
         return A
     change = _error_coordinates(equations, times, seeded, flow.rates)
@@ -86,7 +86,7 @@ def open_system(
     start = 0
     for name, size in sizes.items():
         signal = held.command if name == equations.actuator else held_wires.recorded[name]
-        signal = (arriving or {}).get(name, signal)  # type: ignore[arg-type]
+        signal = (arriving or {}).get(name, signal)
         cut[name] = _seed(np.broadcast_to(value(signal), (m, size)), nx + nu + start, width)
         wires_at[name] = slice(start, start + size)
         start += size

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,7 +59,7 @@ class Linearization:
     @property
     def dt(self) -> float:
         """Sample time [s]; 0 for a continuous loop."""
-        return float(self.equations.hardware.sample_time or 0.0)  # type: ignore[arg-type]
+        return float(self.equations.hardware.sample_time or 0.0)
 
     @property
     def delay(self) -> float:
@@ -126,7 +126,7 @@ class Linearization:
 
     def poles(self) -> NDArray[np.complex128]:
         """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; dead time left out."""
-        return cast("NDArray[np.complex128]", pole_analysis.poles(self._reduced))
+        return pole_analysis.poles(self._reduced)
 
     @cached_property
     def _reduced(self) -> OpenSystem:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,12 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.environment import Environment
 from mfc_analysis.equations import Equations, refuse_what_does_not_apply
-from mfc_analysis.errors import BadArgument, MfcWarning, NearSingular, Unsupported
+from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.hardware import Hardware
 from mfc_analysis.jacobians import Coordinates, closed_matrix
 from mfc_analysis.laws.law import Law
 from mfc_analysis.linearization import Linearization
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import value
 from mfc_analysis.operating_point import Nominal, OperatingPoint, residual, rest_point, trimmed
 from mfc_analysis.robots.primitives import WARN_CONDITION
 from mfc_analysis.robots.robot import Robot
@@ -98,7 +98,8 @@ class ClosedLoop:
         if space == "joint" and self.ref.n != self.robot.n:
             raise BadArgument("ref", f"a reference of {self.ref.n} joints", f"one of {self.robot.n} joints, as {self.robot.name} has")
         if law.space == "joint" and space == "tool":
-            raise BadArgument("ref", type(self.ref).__name__, f"a joint-space reference for {name}; mfc.trajectories.from_tool_path turns a tool path into one (eq 9.14)")
+            takes = f"a joint-space reference for {name}; mfc.trajectories.from_tool_path turns a tool path into one (eq 9.14)"
+            raise BadArgument("ref", type(self.ref).__name__, takes)
         if law.equation in ("9.21", "9.22", "9.23") and not self.ref.is_hold:
             raise BadArgument("ref", type(self.ref).__name__, f"a Hold: {name} has no motion reference")
         if space == "tool" and self.q_start is None:
@@ -133,6 +134,7 @@ class ClosedLoop:
             return Nominal(*(np.ascontiguousarray(x) for x in point))
         from mfc_analysis.trajectories.inverse_kinematics import follow
 
+        assert self.q_start is not None
         return Nominal(*follow(self.robot, self.ref, self.q_start, t, damping=float(getattr(self.law, "damping", 0.0))))
 
     def _point(self, t: Array, about: str, simulation: Simulation | None) -> OperatingPoint:
@@ -159,7 +161,8 @@ class ClosedLoop:
         """
         rest = self._rest()
         flow = self.equations.flow(0.0, rest.x[0])
-        return Equilibrium(rest.x[0][: self.robot.n], *(np.array(x) for x in (flow.error, flow.F_tip, flow.command)), rest.x[0])  # type: ignore[arg-type]
+        error, force, torque = (np.array(value(x)) for x in (flow.error, flow.F_tip, flow.command))
+        return Equilibrium(rest.x[0][: self.robot.n], error, force, torque, rest.x[0])
 
     def quasi_static(self) -> QuasiStatic:
         """Equation 9.20's model of the same loop: g + J^T F_tip = tau. ``.force`` (6,), ``.error`` = F_d - F_tip (6,)."""
@@ -203,7 +206,8 @@ class ClosedLoop:
         if asked is not None:
             checks.choice("coordinates", asked, ("state", "error"))
             if asked == "error" and self.law.space == "tool" and self.robot.n != 6:
-                raise Unsupported("coordinates", "error", f"a square Jacobian: {self.robot.name} has {self.robot.n} joints, so the error does not determine the state")
+                takes = f"a square Jacobian: {self.robot.name} has {self.robot.n} joints, so the error does not determine the state"
+                raise Unsupported("coordinates", "error", takes)
             return asked
         if self.law.space == "tool" and self.robot.n == 6:
             q = np.ascontiguousarray(point.x[:, :6])

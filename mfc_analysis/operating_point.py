@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.equations import Equations, Wires, Inputs, solve_command_for_slots
+from mfc_analysis.equations import Equations, Inputs, Wires, solve_command_for_slots
 from mfc_analysis.errors import NotConverged
 from mfc_analysis.laws.joint_torque import InverseDynamics
 from mfc_analysis.maths.dual import Dual, value
@@ -92,7 +92,7 @@ def _trim(equations: Equations, times: Array, slots: dict[str, Array], name: str
     if name == "outer":
         assert isinstance(equations.law, InverseDynamics)
         A = equations.law.matrices(equations.n)[0]
-        left, sigma, right = np.linalg.svd(A)
+        _, sigma, right = np.linalg.svd(A)
         basis = right[sigma <= 1e-10 * max(1.0, float(sigma.max(initial=0.0)))].T  # states at rest: the outer loop's integrators
         if basis.shape[1] == 0:
             return slots[name]
@@ -116,7 +116,7 @@ def rest_point(equations: Equations, start: OperatingPoint, closed: Any) -> Oper
         x[:, equations.parts["v"].where] = 0.0
 
     def rates(x: Array) -> Array:
-        return equations.rates(t, x)[0]
+        return np.asarray(equations.rates(t, x)[0], float)
 
     f = rates(x)
     for _ in range(60):

@@ -26,7 +26,7 @@ def delayed(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> A
     Runge-Kutta of fourth order on segments no longer than the shortest dead time, A(t) a cubic through four points of each.
     """
     e = loop.equations
-    delays = [float(d) for d in (e.hardware.delay, e.hardware.force_delay) if d is not None]  # type: ignore[arg-type]
+    delays = [float(d) for d in (e.hardware.delay, e.hardware.force_delay) if d is not None]
     whole = max(int(np.ceil((t[-1] - t[0]) / min(delays) - 1e-9)), 1)
     edges = np.linspace(t[0], t[-1], whole + 1)
     at_thirds = np.linspace(t[0], t[-1], 3 * whole + 1)
@@ -39,7 +39,7 @@ def delayed(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> A
     At, Bt, Ct, Dt = along
     out = np.empty((len(t), e.nx))
     x = direction.copy()
-    past = History(float(t[0]), np.linalg.solve(np.eye(late.sum()) - D[0, ny:, nu:], C[0, ny:] @ x))
+    past = History(float(t[0]), np.asarray(np.linalg.solve(np.eye(late.sum()) - D[0, ny:, nu:], C[0, ny:] @ x), float))
     substeps = 8
     for k in range(whole):
         start, h = float(edges[k]), float(edges[k + 1] - edges[k]) / substeps
@@ -60,10 +60,10 @@ def delayed(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> A
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             states.append(x)
         here = np.array(states)
-        ticks = start + h * np.arange(substeps + 1)
+        ticks = np.asarray(start + h * np.arange(substeps + 1), float)
         inside = (t >= start - 1e-12) & (t <= edges[k + 1] + 1e-12)
         out[inside] = _between(ticks, here, t[inside])
-        nodes = start + NODES * (edges[k + 1] - start)
+        nodes = np.asarray(start + NODES * (edges[k + 1] - start), float)
         pairs = zip(nodes, _between(ticks, here, nodes), strict=True)
         signals = np.stack([Ct.at(k, float(ti)) @ xi + Dt.at(k, float(ti)) @ arriving(float(ti)) for ti, xi in pairs])
         past.add(start, float(edges[k + 1] - start), signals)
@@ -125,10 +125,10 @@ def sampled_along(loop: ClosedLoop, base: Simulation, t: Array, direction: Array
     The same order of events as in ``sampled_run.run_sampled``: read, command, hold after the dead time, own states advanced with inputs held.
     """
     e = loop.equations
-    T = float(e.hardware.sample_time or 0.0)  # type: ignore[arg-type]
-    delay, force_delay = (float(d or 0.0) for d in (e.hardware.delay, e.hardware.force_delay))  # type: ignore[arg-type]
+    T = float(e.hardware.sample_time or 0.0)
+    delay, force_delay = (float(d or 0.0) for d in (e.hardware.delay, e.hardware.force_delay))
     start, nx = float(t[0]), e.nx
-    samples = start + T * np.arange(len(t))
+    samples = np.asarray(start + T * np.arange(len(t)), float)
     edges = np.unique(np.round(np.concatenate([samples, samples + delay % T, samples - force_delay]), 13))
     edges = edges[(edges >= start) & (edges <= samples[-1])]
     edges = edges[np.concatenate([[True], np.diff(edges) > 1e-9 * T])]

@@ -43,7 +43,7 @@ class History:
         i = max(bisect_right(self.starts, t) - 1, 0)
         apart = (t - self.starts[i]) / self.lengths[i] - NODES
         if np.abs(apart).min() < 1e-12:
-            return self.samples[i][int(np.abs(apart).argmin())]
+            return np.asarray(self.samples[i][int(np.abs(apart).argmin())], float)
         w = _WEIGHTS / apart
         return np.asarray((w @ self.samples[i]) / w.sum())
 
@@ -65,7 +65,8 @@ def run_with_dead_time(run: _Run, asked: Array, x0: Array) -> None:
         run.arrived = lambda t: history[e.actuator].at(t - actuator_delay)
 
     def rates(t: float, x: Array) -> Array:
-        return value(e.join(e.flow(t, x, Wires(arriving(t)), run.inputs(t), lose_contact=lose).rates))
+        rates_now: Array = value(e.join(e.flow(t, x, Wires(arriving(t)), run.inputs(t), lose_contact=lose).rates))
+        return rates_now
 
     segment = min(delays.values())
     x: Array | None = x0
@@ -137,7 +138,7 @@ def _own_rates(run: _Run, rates: dict[str, Vector], own: Array) -> Array:
     out = np.zeros(e.nx)
     for name, rate in rates.items():
         out[e.parts[name].where] = value(rate)
-    return out[own]
+    return np.asarray(out[own], float)
 
 
 def own_states_step(e: Equations, t: float, x0: Array, T: float) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from mfc_analysis.equations import Equations, Inputs, Wires
+from mfc_analysis.equations import Equations, Inputs
 from mfc_analysis.errors import BadArgument, MfcError
 from mfc_analysis.jacobians import closed_matrix
 from mfc_analysis.maths import checks
@@ -138,7 +138,9 @@ class _Run:
     def one_sided(self) -> bool:
         return any(s.one_sided for s in self.equations.surfaces)
 
-    def integrate(self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False) -> Array | None:
+    def integrate(
+        self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False
+    ) -> Array | None:
         """From start to end; adds to the path. None where the run has stopped.
 
         ``short``: one of many short segments, where a multistep method would only ever be starting: explicit Runge-Kutta then.
@@ -163,7 +165,8 @@ class _Run:
             with np.errstate(over="ignore", invalid="ignore"):
                 found = solve_ivp(guarded, (start, end), x, dense_output=True, events=[f for f, _ in watched], **options)
         except _Stop:
-            return self._until_refused(guarded, start, x, options)
+            self._until_refused(guarded, start, x, options)
+            return None
         for (_, event), times in zip(watched[1:], found.t_events[1:], strict=True):
             self.events += [Event(float(t), *event) for t in times]
         self.path.add(float(found.t[-1]), found.sol)
@@ -219,7 +222,14 @@ class _Stop(Exception):
 
 
 def simulate(
-    loop: ClosedLoop, times: float | ArrayLike, x0: Array, disturbance: ArrayLike | Disturbance | None, *, rtol: float, atol: float, method: str
+    loop: ClosedLoop,
+    times: float | ArrayLike,
+    x0: Array,
+    disturbance: ArrayLike | Callable[[float], ArrayLike] | None,
+    *,
+    rtol: float,
+    atol: float,
+    method: str,
 ) -> Simulation:
     """The run behind ``ClosedLoop.simulate``. Raises BadArgument for bad input, and what the law raises at the start."""
     asked = _asked_times(times)
@@ -249,7 +259,7 @@ def _run_continuous(run: _Run, asked: Array, x0: Array) -> None:
         return value(e.join(e.flow(t, x, None, run.inputs(t), lose_contact=lose).rates))
 
     def jac(t: float, x: Array) -> Array:
-        return closed_matrix(e, np.array([t]), x[None], lose_contact=lose)[0]
+        return np.asarray(closed_matrix(e, np.array([t]), x[None], lose_contact=lose)[0], float)
 
     run.integrate(rates, float(asked[0]), float(asked[-1]), x0, jac)
 
@@ -272,8 +282,9 @@ def _gathered(run: _Run, asked: Array) -> Simulation:
     arrived = command if run.arrived is None else np.stack([run.arrived(float(ti)) for ti in t])
     tau = np.array(s["lag"]) if "lag" in s else np.array(value(e._limited(arrived)))
     twist = value(e.plant.jacobian(np.ascontiguousarray(q), v))
+    events = tuple(sorted(run.events, key=lambda event: event.time))
     return Simulation(
-        t, x, q, v, tau, command, np.array(value(flow.error)), twist, np.array(value(flow.F_tip)), tuple(sorted(run.events, key=lambda event: event.time)),
+        t, x, q, v, tau, command, np.array(value(flow.error)), twist, np.array(value(flow.F_tip)), events,
         run.outcome, run.message, e.state_names, run.path, run.arrived,
     )  # fmt: skip
 
@@ -355,13 +366,13 @@ def _displaced(loop: ClosedLoop, t: float, q_d: Array, initial_error: ArrayLike)
 
 
 def _asked_times(times: float | ArrayLike) -> Array:
-    if np.ndim(times) == 0:  # type: ignore[arg-type]
+    if np.ndim(times) == 0:
         duration = checks.number("times", times, low=0.0, strict=True)
         return np.linspace(0.0, duration, 501)
     return checks.times(times)
 
 
-def _disturbance(given: ArrayLike | Disturbance | None, n: int) -> Disturbance | None:
+def _disturbance(given: ArrayLike | Callable[[float], ArrayLike] | None, n: int) -> Disturbance | None:
     if given is None:
         return None
     if callable(given):

@@ -48,7 +48,8 @@ def floquet(loop: ClosedLoop, period: float | None = None) -> Floquet:
     if hardware.sample_time is not None:
         return _sampled(loop, float(T))
     if hardware.delay is not None or hardware.force_delay is not None:
-        raise Unsupported("hardware.delay", hardware.delay or hardware.force_delay, "a sample_time beside it: the period map of a continuous loop with dead time has no finite matrix")
+        takes = "a sample_time beside it: the period map of a continuous loop with dead time has no finite matrix"
+        raise Unsupported("hardware.delay", hardware.delay or hardware.force_delay, takes)
     edges = np.linspace(0.0, float(T), STEPS + 1)
 
     def advance(x: Array) -> tuple[Array, Array]:
@@ -81,7 +82,8 @@ def transient_growth(lin: Linearization) -> TransientGrowth:
     if len(times) < 2:
         raise BadArgument("times", times, "a linearisation at two times or more: growth is along a path")
     if lin.delay or lin.force_delay:
-        raise Unsupported("hardware.delay", lin.delay or lin.force_delay, "a sample_time beside it: transition matrices of a continuous loop with dead time are not finite")
+        takes = "a sample_time beside it: transition matrices of a continuous loop with dead time are not finite"
+        raise Unsupported("hardware.delay", lin.delay or lin.force_delay, takes)
     if lin.dt:
         count = max(int(np.floor((times[-1] - times[0]) / lin.dt + 1e-9)), 1)
         at = times[0] + lin.dt * np.arange(count)

@@ -88,14 +88,14 @@ def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validatio
 
 def misfit(nonlinear: Array, linear: Array) -> float:
     """rms(nonlinear - linear) / rms(nonlinear)."""
-    return float(np.sqrt(np.mean((nonlinear - linear) ** 2) / max(np.mean(nonlinear**2), 1e-300)))
+    return float(np.sqrt(np.mean((nonlinear - linear) ** 2) / max(float(np.mean(nonlinear**2)), 1e-300)))
 
 
 def _grid(loop: ClosedLoop, time: float) -> Array:
     T = loop.equations.hardware.sample_time
     if T is None:
         return np.linspace(0.0, time, STEPS + 1)
-    return float(T) * np.arange(max(round(time / float(T)), 2) + 1)  # type: ignore[arg-type]
+    return np.asarray(float(T) * np.arange(max(round(time / float(T)), 2) + 1), float)
 
 
 def _predict(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> Array:
@@ -115,7 +115,7 @@ def _order(sizes: Array, remainders: Array) -> float:
     floor = 1e-8 * sizes
     if np.all(remainders <= floor):
         return float("inf")
-    return float(np.log2(remainders[0] / remainders[1])) if remainders[2] <= 3 * floor[2] else float(np.log2(remainders[1] / remainders[2]))
+    return float(np.log2(remainders[0] / remainders[1] if remainders[2] <= 3 * floor[2] else remainders[1] / remainders[2]))
 
 
 def _radius(compare: Callable[[float], tuple[Array, Array] | None], size: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from numpy.typing import ArrayLike
 
@@ -19,7 +20,7 @@ class ForceLaw(Law):
     """What the force laws share: F_d, force gains of six components, the force integral."""
 
     equation = "9.21"
-    opens_at = ("torque", "position", "force")
+    opens_at: ClassVar[tuple[str, ...]] = ("torque", "position", "force")
     senses_force = True
     sources = ("Lynch & Park, Modern Robotics, ch. 11.5", "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 9")
     units = FORCE_UNITS

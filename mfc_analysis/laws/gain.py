@@ -37,7 +37,8 @@ class Gain:
     def check(self, size: int, what: str) -> None:
         """Raise BadArgument unless this gain acts on vectors of ``size`` (``what``: 'joints', 'twist')."""
         if self.array is not None and self.array.ndim and self.array.shape[0] != size:
-            raise BadArgument(self.name, f"shape {self.array.shape}", f"a scalar, shape ({size},) or ({size}, {size}): one entry for each of the {size} {what}")
+            takes = f"a scalar, shape ({size},) or ({size}, {size}): one entry for each of the {size} {what}"
+            raise BadArgument(self.name, f"shape {self.array.shape}", takes)
 
     def matrix(self, size: int) -> Array:
         """As a (size, size) matrix; zeros for None."""

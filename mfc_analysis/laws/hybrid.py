@@ -120,8 +120,8 @@ class HybridMotionForce(Law):
                 return matvec(np.eye(6) - S, model.task_mass(q, c)) + matvec(S, f)
             return matvec(np.eye(6) - S, model.task_mass(q, c - minus)) - matvec(S, model.task_mass(q, minus) - f)
         # P Lambda c + (1 - P) f = Lambda c + A^T l with (A Lambda^-1 A^T) l = A (Lambda^-1 f - c)
-        inertia = np.linalg.inv(model.at(value(q)).Lambda)
-        S = np.linalg.inv(A @ inertia @ A.T)
+        inertia = np.asarray(np.linalg.inv(model.at(value(q)).Lambda), float)
+        S = np.asarray(np.linalg.inv(A @ inertia @ A.T), float)
         held = times(S, matvec_plain(A, times(inertia, value(f)) - value(c)))
         rest = matvec(A, model.mobility(q, f - held @ A) - c)  # its value is 0; its tangent is that of the implicit rule
         multiplier = held + matvec(S, rest) if isinstance(rest, Dual) else held

@@ -171,7 +171,8 @@ class InverseDynamics(Law):
         super().check(n)
         system: tuple[Array, Array, Array, Array] | None = self.system  # type: ignore[attr-defined]
         if system is not None and system[3].shape not in ((1, 1), (n, n)):
-            raise BadArgument("outer", f"{system[3].shape[1]} inputs and {system[3].shape[0]} outputs", f"a system with one input and output, or {n} of each")
+            got = f"{system[3].shape[1]} inputs and {system[3].shape[0]} outputs"
+            raise BadArgument("outer", got, f"a system with one input and output, or {n} of each")
 
     def matrices(self, n: int) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D of the LTI outer loop for n joints."""

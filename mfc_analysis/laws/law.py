@@ -14,9 +14,9 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mfc_analysis.laws.gain import Gain
 from mfc_analysis.maths.dual import Vector
 from mfc_analysis.maths.se3 import Pose
-from mfc_analysis.laws.gain import Gain
 from mfc_analysis.robots.primitives import Primitives
 
 Array = NDArray[np.float64]
@@ -84,7 +84,10 @@ class Law:
     opens_at: ClassVar[tuple[str, ...]] = ("torque", "position")
     senses_force: ClassVar[bool] = False
     forms: ClassVar[tuple[str, ...]] = ("standard",)
-    sources: ClassVar[tuple[str, ...]] = ("Lynch & Park, Modern Robotics, ch. 11", "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 8")
+    sources: ClassVar[tuple[str, ...]] = (
+        "Lynch & Park, Modern Robotics, ch. 11",
+        "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 8",
+    )
     typst: ClassVar[str] = ""  #: the equation, as Typst math
     units: ClassVar[Mapping[str, str]] = {}  #: gain -> unit
 

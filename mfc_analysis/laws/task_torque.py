@@ -17,7 +17,9 @@ from mfc_analysis.maths.se3 import Pose, bracket, log_rate
 from mfc_analysis.robots.primitives import Primitives
 
 
-def tool_acceleration(E: Pose, X_e: Vector, V: Vector, ref: ToolReference, kp: Gain, ki: Gain, kd: Gain, z: Vector | None, *, printed: bool) -> Vector:
+def tool_acceleration(
+    E: Pose, X_e: Vector, V: Vector, ref: ToolReference, kp: Gain, ki: Gain, kd: Gain, z: Vector | None, *, printed: bool
+) -> Vector:
     r"""The commanded tool acceleration inside 9.16 and 9.24, (..., 6) in the tool frame, E = X^-1 X_d.
 
     Standard: d/dt([Ad_E] V_d) + Kp X_e + Ki z + Kd V_e with V_e = [Ad_E] V_d - V and

@@ -7,7 +7,7 @@ arrays, the exact Jacobian at every point. The tangent axis is last, so a chain 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias, Union
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,7 @@ class Dual:
         return Dual(self.value[..., part], self.tangent[..., part, :])
 
 
-Vector: TypeAlias = Union[Array, float, Dual]
+Vector: TypeAlias = Array | float | Dual
 
 
 def value(x: Vector) -> Array:

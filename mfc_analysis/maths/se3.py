@@ -87,7 +87,7 @@ def exp3(w: Array) -> Array:
     s = np.sum(w * w, axis=-1)[..., None, None]
     theta = np.sqrt(s)
     W = hat(w)
-    return np.eye(3) + np.sinc(theta / np.pi) * W + 0.5 * np.sinc(theta / (2 * np.pi)) ** 2 * (W @ W)
+    return np.asarray(np.eye(3) + np.sinc(theta / np.pi) * W + 0.5 * np.sinc(theta / (2 * np.pi)) ** 2 * (W @ W), float)
 
 
 def exp6(V: Array) -> Array:
@@ -108,7 +108,7 @@ def log3(R: Array) -> Array:
     axis = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
     sin = np.sqrt(np.sum(axis * axis, axis=-1))
     theta = np.arctan2(sin, 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1))
-    return axis / np.sinc(theta / np.pi)[..., None]
+    return np.asarray(axis / np.sinc(theta / np.pi)[..., None], float)
 
 
 def log6(X: Array) -> Array:

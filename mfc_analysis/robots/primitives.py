@@ -188,7 +188,7 @@ class Primitives:
             inverse = at.J_inverse
             y = times(inverse, xs)
             return chain(y, (lambda: -inverse @ self._bracketed(at.J, y), q), (lambda: inverse, x))
-        W = np.linalg.inv(at.J @ at.J_T + damping**2 * np.eye(6))
+        W: Array = np.asarray(np.linalg.inv(at.J @ at.J_T + damping**2 * np.eye(6)), float)
         u = times(W, xs)
         y = times(at.J_T, u)
 
@@ -360,18 +360,18 @@ class Configuration:
     @cached_property
     def M_inverse(self) -> Array:
         """M^-1, (..., n, n)."""
-        return np.linalg.inv(self.M)
+        return np.asarray(np.linalg.inv(self.M), float)
 
     @cached_property
     def J_inverse(self) -> Array:
         """J^-1 of a six-joint arm; call ``check_regular`` first."""
-        return np.linalg.inv(self.J)
+        return np.asarray(np.linalg.inv(self.J), float)
 
     @cached_property
     def Lambda(self) -> Array:
         """(J M^-1 J^T)^-1, (..., 6, 6). Raises NearSingular."""
         self.check_regular()
-        return np.linalg.inv(self.J @ self.M_inverse @ self.J_T)
+        return np.asarray(np.linalg.inv(self.J @ self.M_inverse @ self.J_T), float)
 
     def check_regular(self) -> None:
         """Warn where the condition number of J exceeds 1e4, raise NearSingular above 1e6 (or where rank is below min(6, n))."""
