@@ -81,6 +81,7 @@ def _section(section: s.Section, plain_form: dict[str, Any]) -> dict[str, Any]:
         "title": section.title,
         "loop": section.loop,
         "status": section.status.value,
+        "shown": section.shown,
         "finding": _words(plain_form["finding"]),
         "checks": [_check(c) for c in section.checks],
         "numbers": plain(section.numbers),

@@ -361,11 +361,20 @@ class Section:
     loop: str = ""  #: the loop it is about: a row of the matrix
     key: str = ""  #: for links; default: made from the title
     verdict: Status | None = None  #: for a section whose status is not a matter of checks
+    shown: str = ""  #: why a loop that is not for use stands here ("open loop"); its status is told, but the document's verdict leaves it out
 
     @property
     def status(self) -> Status:
         """The worst of its own checks, of its verdict, and of the sections within."""
         own = [c.status for c in self.checks] + [s.status for s in self.sections]
+        return worst([*own, self.verdict] if self.verdict is not None else own)
+
+    @property
+    def judged(self) -> Status:
+        """The status that counts for the document: sections that only show what fails are left out."""
+        if self.shown:
+            return Status.INFO
+        own = [c.status for c in self.checks] + [s.judged for s in self.sections]
         return worst([*own, self.verdict] if self.verdict is not None else own)
 
     def every_check(self) -> tuple[tuple[Section, Check], ...]:

@@ -24,14 +24,22 @@ def every_check(document: Document) -> tuple[tuple[Section, Check], ...]:
 
 
 def verdict(document: Document) -> Verdict:
-    """The banner of a document. A section's own verdict counts as well as its checks; nothing asked: INFO."""
-    checks = every_check(document)
-    status = worst([s.status for s in (*document.sections, *document.appendices)])
+    """The banner of a document. A section's own verdict counts as well as its checks; nothing asked: INFO.
+
+    Sections that only show what fails (``Section.shown``) don't count; the detail says how many there are and what came of them.
+    """
+    sections = (*document.sections, *document.appendices)
+    status = worst([s.judged for s in sections])
+    every = every_check(document)
+    checks = [(s, c) for s, c in every if not s.shown]
+    beside = _beside([(s, c) for s, c in every if s.shown])
     if not checks:
-        return Verdict(status, "Nothing was asked of these loops", "No requirement was given, so there is nothing to pass or fail.", None, None)
+        return Verdict(status, "Nothing was asked of these loops", ("No requirement was given, so there is nothing to pass or fail." + beside), None, None)
     section, check = max(checks, key=lambda pair: pair[1].severity)
     missed = [c for _, c in checks if c.status is Status.FAIL]
     watched = [c for _, c in checks if c.status is Status.WATCH]
+    loops, bad = ({s.loop for s, c in pairs if s.loop} for pairs in (checks, [(s, c) for s, c in checks if c.status is Status.FAIL]))
+    spread = f" Limits are missed on {len(bad)} of {len(loops)} loops." if bad and len(loops) > 1 else ""
     if missed:
         sentence = f"{_count(len(missed), len(checks))} missed"
     elif watched:
@@ -41,7 +49,18 @@ def verdict(document: Document) -> Verdict:
     else:
         sentence = f"All {len(checks)} checks are met, but a section has a reservation"
     lead = "Worst" if missed or watched else "Tightest"
-    return Verdict(status, sentence, f"{lead}: {said(section, check)}.", check, section)
+    return Verdict(status, sentence, f"{lead}: {said(section, check)}.{spread}{beside}", check, section)
+
+
+def _beside(shown: list[tuple[Section, Check]]) -> str:
+    """A sentence about the loops that stand in the document to show how they fail."""
+    loops = dict.fromkeys(s.loop or s.title for s, _ in shown)
+    if not loops:
+        return ""
+    bad = dict.fromkeys(s.loop or s.title for s, c in shown if c.status is Status.FAIL)
+    one = len(loops) == 1
+    lead = f" {len(loops)} {'loop is' if one else 'loops are'} shown beside them to make a point and not counted here"
+    return f"{lead}: {len(bad)} of {len(loops)} {'misses' if len(bad) == 1 else 'miss'} a limit."
 
 
 def said(section: Section, check: Check) -> str:
@@ -70,7 +89,8 @@ def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
                 row[check.name] = (section, check)
     if not cells:
         return None
-    rows = tuple((loop, keys[id(first[loop])], tuple(_cell(row.get(name), keys) for name in names)) for loop, row in cells.items())
+    shown = {section.loop for top in document.sections for section, _ in top.every_check() if section.shown}
+    rows = tuple((f"{loop} (shown)" if loop in shown else loop, keys[id(first[loop])], tuple(_cell(row.get(name), keys) for name in names)) for loop, row in cells.items())
     return Matrix("Every loop against every check; each cell leads to its evidence.", tuple(names), rows)
 
 
