@@ -79,7 +79,7 @@ def pi(
     """PI gains on the integrator 1/(inertia s), laws 9.3-9.5: kp = 2 damping w inertia, ki = w^2 inertia.
 
     Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them;
-    ``damping`` > 0: ratio of the pair of poles; ``inertia``: scalar or array > 0. Raises ``BadArgument`` as ``p``.
+    ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0. Raises ``BadArgument`` as ``p``.
     """
     return _design("pi", _one_of(bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
 
@@ -96,7 +96,7 @@ def pd(
     """PD gains on the double integrator 1/(inertia s^2), laws 9.8-9.16: kp = w^2 inertia, kd = 2 damping w inertia.
 
     Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them;
-    ``damping`` > 0: ratio of the pair of poles; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
+    ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
     Raises ``BadArgument`` as ``p``.
     """
     return _design("pd", _one_of(bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
@@ -115,7 +115,7 @@ def pid(
 
     kd = (1 + 2 damping) w inertia, kp = (1 + 2 damping) w^2 inertia, ki = w^3 inertia; with damping 1 a triple pole at -w.
     Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them;
-    ``damping`` > 0: ratio of the pair of poles; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
+    ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
     Raises ``BadArgument`` as ``p``.
     """
     return _design("pid", _one_of(bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
@@ -137,7 +137,7 @@ def joint_pid(
         robot: its mass matrix gives the effective inertia.
         q: (n,) a pose; (m, n) poses; or a joint reference ``ref(t)`` with ``period`` or ``duration``: the largest inertia of each
             joint along it.
-        bandwidth, natural_frequency, crossover, settling_time: exactly one, as for ``pid``; damping > 0.
+        bandwidth, natural_frequency, crossover, settling_time: exactly one, as for ``pid``; damping: 0.001 to 1000.
 
     Returns gains of shape (n,) [N m/rad, N m/(rad s), N m s/rad; N and m for prismatic joints]. Raises ``BadArgument`` as ``pid``, and for a q of
     another shape or a reference without an end. Gravity, friction and coupling are not in the loop these gains are made for.
@@ -147,9 +147,10 @@ def joint_pid(
     made = _design("pid", asked, damping, inertia)
     notes = [f"inertia {where}: {np.array2string(inertia, precision=5, separator=', ')} kg m^2 (kg for prismatic joints), armature included"]
     if np.any(smallest < inertia * (1 - 1e-9)):
-        light = [loop_figures([d, p_, i], [s, 0, 0, 0]) for d, p_, i, s in zip(made["kd"], made["kp"], made["ki"], smallest, strict=True)]  # type: ignore[arg-type]
+        loops = zip(*(np.asarray(made[name]) for name in ("kd", "kp", "ki")), smallest, strict=True)
+        light = [loop_figures([kd, kp, ki], [lightest, 0, 0, 0], settle=False) for kd, kp, ki, lightest in loops]
         notes.append(f"where a joint is lightest its bandwidth is up to {max(f.bandwidth for f in light):.4g} rad/s")
-    return Gains(made.values_, made.units, made.formula, made.definition, f"{made.loop}, I = M_jj(q) {where}", made.achieved, tuple(notes))
+    return Gains(made.gains, made.units, made.formula, made.definition, f"{made.loop}, I = M_jj(q) {where}", made.achieved, tuple(notes))
 
 
 def force_pi(
@@ -175,16 +176,16 @@ def force_pi(
     Args:
         bandwidth, natural_frequency, crossover, settling_time: exactly one, as the module defines them [rad/s, s].
         stiffness: of the environment [N/m] > 0. mass: effective, along the contact [kg] > 0. lag: of the torque [s] >= 0.
-        friction: viscous, of the arm [N s/m] >= 0. damping: ratio of the pair, > 0.
+        friction: viscous, of the arm [N s/m] >= 0. damping: ratio of the pair, 0.001 to 1000.
 
     Returns gains that unpack into ``DampedForcePI(F_d, **gains)``. Raises ``BadArgument``: as ``pid``, and with the reason where no gains
     >= 0 attain what is asked. Source: chapter, eqs. 9.22-9.23.
     """
     name, value = _one_of(bandwidth, natural_frequency, crossover, settling_time)
-    k = checks.number("stiffness", stiffness, low=0.0, strict=True)
-    m = checks.number("mass", mass, low=0.0, strict=True)
-    T, b = checks.number("lag", lag, low=0.0), checks.number("friction", friction, low=0.0)
-    zeta = checks.number("damping", damping, low=0.0, strict=True)
+    k = checks.number("stiffness", stiffness, low=1e-9, high=1e12)
+    m = checks.number("mass", mass, low=1e-9, high=1e9)
+    T, b = checks.number("lag", lag, low=0.0, high=1e6), checks.number("friction", friction, low=0.0, high=1e12)
+    zeta = checks.number("damping", damping, low=1e-3, high=1e3)
     found = force_design(name, value, k, m, T, b, zeta)
     f = found.figures
     notes = [f"from F_d to F_tip (the feedforward included) the bandwidth is {found.tracking_bandwidth:.4g} rad/s"]
@@ -264,7 +265,7 @@ def _one_of(*given: float | None) -> tuple[str, float]:
     if len(asked) != 1:
         raise BadArgument(" or ".join(_ASKED), ", ".join(asked) or "none of them", "exactly one of the four")
     name, value = next(iter(asked.items()))
-    return name, checks.number(name, value, low=0.0, strict=True)
+    return name, checks.number(name, value, low=1e-9, high=1e9)
 
 
 def _polynomials(kind: str, gains: Mapping[str, float], inertia: float) -> tuple[list[float], list[float]]:
@@ -280,10 +281,10 @@ def _unit_figures(kind: str, damping: float) -> LoopFigures:
 
 
 def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayLike) -> Gains:
-    zeta = checks.number("damping", damping, low=0.0, strict=True)
+    zeta = checks.number("damping", damping, low=1e-3, high=1e3)
     I = checks.array("inertia", inertia)
-    if np.any(I <= 0):
-        raise BadArgument("inertia", inertia, "positive numbers")
+    if np.any(I < 1e-12) or np.any(I > 1e12) or I.size == 0:
+        raise BadArgument("inertia", inertia, "positive numbers, 1e-12 to 1e12")
     name, value = asked
     unit = _unit_figures(kind, zeta)
     figure = {"natural_frequency": 1.0, "bandwidth": unit.bandwidth, "crossover": unit.crossover, "settling_time": unit.settling_time}[name]
@@ -332,6 +333,8 @@ def _joint_inertia(robot: Robot, q: Any) -> tuple[Array, Array, str]:
         return np.array(np.diagonal(np.asarray(robot.mass(poses)), axis1=-2, axis2=-1))
 
     if callable(q):
+        if getattr(q, "space", "joint") != "joint":
+            raise BadArgument("q", q, "a joint reference; follow a tool reference with trajectories.from_tool_path first")
         end = getattr(q, "period", None) or getattr(q, "duration", None)
         end = 0.0 if end is None and getattr(q, "is_hold", False) else end
         if end is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ class Achieved:
 class Gains(Mapping[str, Value]):
     """Gains that unpack into a law, with the reason for them. A mapping of the gains this design has, in SI units."""
 
-    values_: Mapping[str, Value]  #: the gains by the law's argument names
+    gains: Mapping[str, Value]  #: the gains by the law's argument names
     units: Mapping[str, str]  #: unit of each gain
     formula: str  #: how they follow from what was asked
     definition: str  #: what was asked, and what it means
@@ -52,13 +53,13 @@ class Gains(Mapping[str, Value]):
     notes: tuple[str, ...] = field(default=())  #: what else to know, a sentence each
 
     def __getitem__(self, name: str) -> Value:
-        return self.values_[name]
+        return self.gains[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.values_)
+        return iter(self.gains)
 
     def __len__(self) -> int:
-        return len(self.values_)
+        return len(self.gains)
 
     def __hash__(self) -> int:
         return id(self)
@@ -66,35 +67,35 @@ class Gains(Mapping[str, Value]):
     @property
     def kp(self) -> Value | None:
         """Proportional gain, None where this design has none."""
-        return self.values_.get("kp")
+        return self.gains.get("kp")
 
     @property
     def ki(self) -> Value | None:
         """Integral gain, None where this design has none."""
-        return self.values_.get("ki")
+        return self.gains.get("ki")
 
     @property
     def kd(self) -> Value | None:
         """Derivative gain, None where this design has none."""
-        return self.values_.get("kd")
+        return self.gains.get("kd")
 
     @property
     def kfp(self) -> Value | None:
         """Proportional force gain [-], None where this design has none."""
-        return self.values_.get("kfp")
+        return self.gains.get("kfp")
 
     @property
     def kfi(self) -> Value | None:
         """Integral force gain [1/s], None where this design has none."""
-        return self.values_.get("kfi")
+        return self.gains.get("kfi")
 
     @property
     def kdamp(self) -> Value | None:
         """Velocity damping of the force law [N s/m], None where this design has none."""
-        return self.values_.get("kdamp")
+        return self.gains.get("kdamp")
 
     def __str__(self) -> str:
-        shown = {name: np.array2string(np.asarray(value), precision=6, separator=", ") for name, value in self.values_.items()}
+        shown = {name: np.array2string(np.asarray(value), precision=6, separator=", ") for name, value in self.gains.items()}
         lines = [f"{name} = {text} [{self.units[name]}]" for name, text in shown.items()]
         lines += [f"formula:  {self.formula}", f"asked:    {self.definition}", f"loop:     {self.loop}"]
         if self.achieved is not None:
@@ -103,12 +104,15 @@ class Gains(Mapping[str, Value]):
 
     __repr__ = __str__
 
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
+
 
 class DampingMatrix(Gains, NDArrayOperatorsMixin):
     """A stiffness ``kp`` and the damping matrix ``kd`` that goes with it; in numpy it behaves as that damping matrix, (6, 6)."""
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
-        return np.array(self.values_["kd"], dtype=dtype)
+        return np.array(self.gains["kd"], dtype=dtype)
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
         return getattr(ufunc, method)(*(np.asarray(x) if isinstance(x, DampingMatrix) else x for x in inputs), **options)
@@ -118,4 +122,4 @@ class DampingMatrix(Gains, NDArrayOperatorsMixin):
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the damping matrix."""
-        return np.shape(self.values_["kd"])
+        return np.shape(self.gains["kd"])

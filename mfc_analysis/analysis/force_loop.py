@@ -30,8 +30,8 @@ class ForceDesign:
     kfp: float  #: [-]
     kfi: float  #: [1/s]
     kdamp: float  #: [N s/m]
-    natural_frequency: float  #: [rad/s] of the pair of poles, from the polynomial
-    damping: float  #: of the pair of poles, from the polynomial
+    natural_frequency: float  #: [rad/s] of the pair of poles, confirmed on the polynomial
+    damping: float  #: of the pair of poles, confirmed on the polynomial
     pole: float  #: [rad/s] the pole at -pole
     figures: LoopFigures  #: of L at the force sensor
     tracking_bandwidth: float  #: [rad/s] -3 dB from F_d to F_tip
@@ -39,11 +39,13 @@ class ForceDesign:
 
 
 class Placed(NamedTuple):
-    """Gains, the slow pole at -pole and the lag's own pole at -fast (inf without lag)."""
+    """Gains, and where they put the poles: a pair, one at -pole, and the lag's own at -fast (inf without lag)."""
 
     kfp: float
     kfi: float
     kdamp: float
+    natural_frequency: float
+    damping: float
     pole: float
     fast: float
 
@@ -73,10 +75,10 @@ def force_design(name: str, value: float, k: float, m: float, T: float, b: float
 
     def figure(log_s: float) -> float:
         w, r = _family(math.exp(log_s), k, m, T, b, zeta)
-        f = loop_figures(*_loop(*_placed(w, r, k, m, T, b, zeta)[:3], k, m, T, b))
+        f = loop_figures(*_loop(*_placed(w, r, k, m, T, b, zeta)[:3], k, m, T, b), settle=name == "settling_time")
         return float(getattr(f, name)) if f.stable else math.nan
 
-    grid = np.linspace(math.log(1e-5), math.log(_highest(k, m, T, b, zeta)), 241)
+    grid = np.linspace(math.log(1e-5), math.log(_highest(k, m, T, b, zeta)), 121)
     known = np.full(grid.size, math.nan)
     for i, log_s in enumerate(grid):
         try:
@@ -115,7 +117,7 @@ def _placed(w: float, r: float, k: float, m: float, T: float, b: float, zeta: fl
         )
     if kdamp < 0:
         raise BadArgument("damping", zeta, f"more: with friction {b:g} N s/m and lag {T:g} s it would need a negative kdamp ({kdamp:.4g} N s/m)")
-    return Placed(kfp, kkfi / k, kdamp, p, f)
+    return Placed(kfp, kkfi / k, kdamp, w, zeta, p, f)
 
 
 def _family(s: float, k: float, m: float, T: float, b: float, zeta: float) -> tuple[float, float]:
@@ -155,19 +157,18 @@ def _loop(kfp: float, kfi: float, kdamp: float, k: float, m: float, T: float, b:
 
 def _finished(name: str, value: float, placed: Placed, k: float, m: float, T: float, b: float) -> ForceDesign:
     """The design, measured on its polynomial; refused where that does not confirm what was asked."""
-    kfp, kfi, kdamp, p, fast = placed
+    kfp, kfi, kdamp, w, zeta, p, fast = placed
     closed = characteristic(kfp, kfi, kdamp, k, m, T, b)
     figures = loop_figures(*_loop(kfp, kfi, kdamp, k, m, T, b))
-    pair, left = np.polydiv(closed if T else closed[1:], [1.0, p])  # divide the other poles out: what is left is the pair
-    if T:
-        pair, more = np.polydiv(pair, [1.0, fast])
-        left = np.append(left, more * p)
-    w = math.sqrt(pair[2] / pair[0])
+    # the poles are confirmed on the polynomial of the finished gains: multiplied out they must give its coefficients
+    factors = np.polymul(np.polymul([1.0, 2 * zeta * w, w * w], [1.0, p]), [1 / fast, 1.0] if T else [1.0])
+    actual = np.array(closed if T else closed[1:])
+    confirmed = np.allclose(factors * (actual[-1] / factors[-1]), actual, rtol=1e-8, atol=0)
     found = w if name == "natural_frequency" else float(getattr(figures, name))
-    if not figures.stable or not abs(found / value - 1) <= 1e-6 or np.abs(left).max() > 1e-8 * closed[-1]:
+    if not figures.stable or not confirmed or not abs(found / value - 1) <= 1e-6:
         raise BadArgument(name, value, f"another value: the nearest loop attains {found:.6g}")
-    tracking = loop_figures([k * (1 + kfp), k * kfi], [*closed[:3], 0.0, 0.0]).bandwidth
-    return ForceDesign(kfp, kfi, kdamp, w, pair[1] / pair[0] / (2 * w), p, figures, tracking, stiffness_range(kfp, kfi, kdamp, m, T, b))
+    tracking = loop_figures([k * (1 + kfp), k * kfi], [*closed[:3], 0.0, 0.0], settle=False).bandwidth
+    return ForceDesign(kfp, kfi, kdamp, w, zeta, p, figures, tracking, stiffness_range(kfp, kfi, kdamp, m, T, b))
 
 
 def _unattainable(name: str, value: float, known: NDArray[np.float64], k: float, m: float, T: float, b: float, zeta: float) -> BadArgument:

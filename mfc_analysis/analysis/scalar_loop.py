@@ -27,15 +27,15 @@ class LoopFigures:
     tolerance: float = 0.02  #: of the settling time: 2 %
 
 
-def loop_figures(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02) -> LoopFigures:
-    """Figures of the loop L = num/den (coefficients, highest power first; strictly proper, T(0) = 1)."""
+def loop_figures(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle: bool = True) -> LoopFigures:
+    """Figures of the loop L = num/den (coefficients, highest power first; strictly proper, T(0) = 1); without ``settle`` its settling time is NaN."""
     n, d = np.trim_zeros(np.asarray(num, float), "f"), np.trim_zeros(np.asarray(den, float), "f")
     closed = np.polyadd(n, d)
     poles = np.roots(closed)
     if np.any(poles.real >= 0):
         return LoopFigures(False, math.nan, math.nan, math.nan, math.nan, tolerance)
     unit = float(np.exp(np.mean(np.log(np.abs(poles)))))  # time in units of the mean pole
-    n, d, closed = (_scaled(p, unit) for p in (n, d, closed))
+    n, d, closed = (_scaled(p, unit) / (closed[0] * unit ** (closed.size - 1)) for p in (n, d, closed))
     falls = _crossings(n, closed, 0.5)
     ones = _crossings(n, d, 1.0)
     crossover = ones[-1] if ones.size else math.inf
@@ -43,9 +43,8 @@ def loop_figures(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02) -> Loo
     if ones.size:
         L = np.polyval(n, 1j * crossover) / np.polyval(d, 1j * crossover)
         phase = math.degrees(float(np.angle(-L)))
-    return LoopFigures(
-        True, float(falls[0] * unit) if falls.size else math.inf, float(crossover * unit), phase, _settling(d, closed, tolerance) / unit, tolerance
-    )
+    settling = _settling(d, closed, tolerance) / unit if settle else math.nan
+    return LoopFigures(True, float(falls[0] * unit) if falls.size else math.inf, float(crossover * unit), phase, settling, tolerance)
 
 
 def _scaled(p: Array, unit: float) -> Array:

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 
 from mfc_analysis.analysis import mu as mu_room
 from mfc_analysis.analysis.disk import Bound, disk_margin, singular_values
-from mfc_analysis.analysis.mu import largest_bound, lower_bound, osborne_bound, polished_bound, slicot_bound
 from mfc_analysis.analysis.sensitivity import opened, sensitivity, sensitivity_at_infinity
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, UnknownPoint
@@ -203,28 +202,3 @@ def test_singular_values_of_s_and_t_are_those_of_the_matrices() -> None:
         S = np.linalg.inv(np.eye(2) + P(1j * x))
         assert_allclose(found.S[0, k], np.linalg.svd(S)[1], rtol=1e-10)
         assert_allclose(found.T[0, k], np.linalg.svd(np.eye(2) - S)[1], rtol=1e-10)
-
-
-@needs_slycot
-@pytest.mark.parametrize("n", [2, 3, 5])
-def test_the_bounds_of_mu_are_ordered_and_meet(n: int) -> None:
-    rng = np.random.default_rng(n)
-    M = (rng.normal(size=(12, n, n)) + 1j * rng.normal(size=(12, n, n))) * np.exp(2 * rng.normal(size=(12, n, 1)))
-    rough, balance = osborne_bound(M)
-    upper, lower = polished_bound(M, balance)
-    exact = np.array([slicot_bound(x) for x in M])
-    slack = 1 + 1e-9
-    assert np.all(upper <= rough * slack)
-    assert np.all(exact <= upper * slack)
-    assert np.all(lower <= exact * slack)
-    assert np.all([lower_bound(x) <= e * slack for x, e in zip(M, exact, strict=True)])
-    assert np.median(upper / lower - 1) < 1e-6
-    best, where, attained = largest_bound(M)
-    assert (best, where) == (pytest.approx(exact.max(), rel=1e-7), int(exact.argmax()))
-    assert attained <= best
-
-
-def test_mu_of_a_triangular_matrix_is_its_largest_diagonal_entry() -> None:
-    M = np.array([[1.0, 50.0, -7.0], [0.0, 2.0, 9.0], [0.0, 0.0, -1.5]], complex)
-    assert largest_bound(M[None])[0] == pytest.approx(2.0, rel=1e-6)
-    assert lower_bound(M) == pytest.approx(2.0, rel=1e-6)
