@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, continuous
 from mfc_analysis.analysis.crossings import Crossings, crossings
-from mfc_analysis.analysis.peak import frequencies_of_interest, sensitivity_peak
+from mfc_analysis.analysis.peak import frequencies_of_interest, sensitivity_peak, thinned
 from mfc_analysis.analysis.poles import Spectrum, spectrum, stability
 from mfc_analysis.analysis.resolvent import resolvent
 from mfc_analysis.analysis.system import OpenSystem
@@ -219,6 +219,8 @@ def _figures_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: 
     """Figures of stable channels in the s plane (or the w plane of a loop sampled at ``dt``)."""
     found = resolvent(ch, modes)
     w = frequencies_of_interest(found.poles)
+    if not found.modal.any():  # each of them costs a solution
+        w = thinned(w, found.poles)
     H = found.on(w)
     at_zero = _at_zero(ch)
     if sees_zero is not None:

@@ -35,6 +35,18 @@ def frequencies_of_interest(poles: NDArray[np.complex128]) -> Array:
     return np.sort(np.where(every > 0, every, ladder[:, :1]), axis=1)
 
 
+def thinned(w: Array, poles: NDArray[np.complex128]) -> Array:
+    """Fewer of the rising frequencies w (m, k): about one in each 0.3 of the distance to the nearest pole (m, nx). The last is repeated.
+
+    Where many poles lie on one spot most of the frequencies of interest are nearly the same.
+    """
+    distance = np.abs(1j * w[:, :, None] - poles[:, None, :]).min(axis=2)
+    cell = np.floor(np.cumsum(np.diff(w, axis=1) / (0.3 * distance[:, :-1]), axis=1))
+    keep = np.ones(w.shape, bool)
+    keep[:, 1:-1] = np.diff(cell, axis=1) > 0
+    return np.sort(np.where(keep, w, w[:, -1:]), axis=1)[:, : int(keep.sum(axis=1).max())]
+
+
 def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: NDArray[np.complex128]) -> tuple[Array, Array]:
     """Largest |S_i| (m, n) and its frequency (m, n) [rad/s], 0 and inf included.
 
@@ -44,7 +56,7 @@ def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: NDArray[np.c
     ends = np.stack([np.abs(1 + at_zero), np.abs(1 + found.ch.H0)])
     low, high = np.pad(size, ((0, 0), (0, 0), (1, 0)))[..., :-1], np.pad(size, ((0, 0), (0, 0), (0, 1)))[..., 1:]
     top = (size >= low) & (size >= high)
-    top[..., [0, -1]] = False  # a hundred times slower or faster than every pole: the ends' own
+    top &= ((w > w[:, :1]) & (w < w[:, -1:]))[:, None]  # a hundred times slower or faster than every pole: the ends' own
     best = np.maximum(size.max(axis=2), np.where(np.isnan(ends), 0.0, ends).max(axis=0))
     top &= size > NEAR * best[..., None]
     ranked = np.argsort(np.where(top, -size, 0.0), axis=2)[..., :CLIMBED]

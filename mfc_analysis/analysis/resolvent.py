@@ -46,7 +46,8 @@ class Resolvent:
             gap = 1 / (1j * w[self.modal, None, :] - self.poles[self.modal, :, None])
             H[self.modal] = self.residues[self.modal] @ gap
         for i in np.flatnonzero(~self.modal):
-            H[i] = np.einsum("nx,kxn->nk", self.ch.C[i], _solved(self.ch.A[i], w[i], self.ch.B[i]))
+            places, which = np.unique(w[i], return_inverse=True)
+            H[i] = np.einsum("nx,kxn->nk", self.ch.C[i], _solved(self.ch.A[i], places, self.ch.B[i]))[:, which]
         H += self.ch.H0[:, :, None]
         return H
 
