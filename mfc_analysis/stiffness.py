@@ -1,0 +1,200 @@
+r"""A force loop over the stiffness of what it presses on: poles, verdicts and margins at many stiffnesses at once.
+
+A surface whose force is ``preload`` at the operating point enters the linear loop by its stiffness alone, and linearly: A, B, C, D of the
+opened loop are those of two stiffnesses and what lies between and beyond on the same line. So two linearisations serve any number of
+stiffnesses, and the analysis runs on all of them as one batch. The operating point stays where it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.analysis import poles as pole_analysis
+from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.environment import Environment
+from mfc_analysis.errors import BadArgument, Unsupported
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import value
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.loop import ClosedLoop
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_APART = (1e3, 2e3)  #: [N/m] the two stiffnesses that are linearised: of the order of what is asked, so that rounding stays small
+
+
+@dataclass(frozen=True, eq=False)
+class StiffnessSweep:
+    """One loop at k stiffnesses, everything else kept."""
+
+    stiffness: Array  #: (k,) [N/m, Nm/rad]
+    opened: OpenSystem  #: the loop with every wire cut; its m points are the stiffnesses
+
+    @cached_property
+    def poles(self) -> NDArray[np.complex128]:
+        """(k, nx) closed-loop poles [1/s], slowest first; dead time left out."""
+        return pole_analysis.poles(self.opened)
+
+    @cached_property
+    def stability(self) -> pole_analysis.Stability:
+        """Stable, neutral, drifting at each stiffness, dead time included."""
+        return pole_analysis.stability(without_idle(self.opened))
+
+    @property
+    def stable(self) -> Bools:
+        """(k,) the roots that are not at zero all decay, dead time included."""
+        return self.stability.nonzero_stable
+
+    @cached_property
+    def growth(self) -> Array:
+        """(k,) [1/s] largest real part of the roots that are not at zero, dead time included; of a sampled loop ln|z| / dt."""
+        return growth(self.opened)
+
+    def margins(self, at: str = "force") -> Margins:
+        """Margins at each stiffness: (k, n) figures. Raises UnknownPoint."""
+        from mfc_analysis.analysis.margins import margins
+
+        return margins(self.opened, at)
+
+
+def growth(system: OpenSystem) -> Array:
+    """(m,) [1/s] largest real part of the closed loop's roots that are not at zero (z = 1), dead time included."""
+    system = without_idle(system)
+    found = pole_analysis.spectrum(system)
+    if system.wire_delay.any() and not system.dt:
+        from mfc_analysis.analysis.delay import delay_roots
+
+        roots = delay_roots(system, int(found.roots.count.max(initial=0)) + 2)
+        return np.asarray(np.where(roots == 0, -np.inf, roots.real).max(axis=1))
+    return np.asarray(np.where(found.zero, -np.inf, found.rates.real).max(axis=1))
+
+
+def without_idle(system: OpenSystem) -> OpenSystem:
+    """The system without controller integrals on which nothing depends at any of its points: the same verdicts, fewer states."""
+    used = np.ones(system.nx, bool)
+    for i in system.integrals:
+        used[i] = system.A[:, :, i].any() or system.C[:, :, i].any()
+    if used.all():
+        return system
+    new = np.cumsum(used) - 1
+
+    def kept(states: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(int(new[i]) for i in states if used[i])
+
+    return replace(
+        system, A=system.A[:, used][:, :, used], B=system.B[:, used], C=system.C[:, :, used],
+        state_names=tuple(n for n, keep in zip(system.state_names, used, strict=True) if keep),
+        integrals=kept(system.integrals), plant_states=kept(system.plant_states),
+    )  # fmt: skip
+
+
+def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0) -> StiffnessSweep:
+    """The loop at k stiffnesses of every surface that has a preload; surfaces without one stay as they are.
+
+    Args:
+        loop: a torque loop in contact. stiffness: (k,) [N/m, Nm/rad] > 0, given to all axes of those surfaces. time: [s] the point
+            of the reference, which stays the operating point: the force there is kept.
+
+    Raises:
+        BadArgument: no surface with a preload, or stiffnesses that are not positive. Unsupported: a surface of rotations that is
+            twisted at the operating point (its axes would turn with what is kept).
+    """
+    k = checks.array("stiffness", np.atleast_1d(np.asarray(stiffness)), (None,), "stiffnesses > 0 [N/m]")
+    if np.any(k <= 0):
+        raise BadArgument("stiffness", stiffness, "stiffnesses > 0 [N/m]")
+    first = with_stiffness(loop, _APART[0], time).linearize([time])
+    one, two = first.opened, with_stiffness(loop, _APART[1], time).linearize([time], coordinates=first.coordinates).opened
+    part = ((k - _APART[0]) / (_APART[1] - _APART[0]))[:, None, None]
+
+    def at(first: Array, second: Array) -> Array:
+        return np.asarray(first + part * (second - first))
+
+    A, B, C, D = at(one.A, two.A), at(one.B, two.B), at(one.C, two.C), at(one.D, two.D)
+    return StiffnessSweep(k, replace(one, times=np.full(len(k), float(time)), A=A, B=B, C=C, D=D))
+
+
+def with_stiffness(loop: ClosedLoop, stiffness: float, time: float = 0.0) -> ClosedLoop:
+    """The same loop with another stiffness [N/m] of every surface that has a preload, and the same force at the reference of ``time``.
+
+    Raises BadArgument and Unsupported as ``over_stiffness``.
+    """
+    surfaces = _kept(loop, time)
+    return replace(loop, environment=[s if kept is None else kept.with_stiffness(stiffness) for s, kept in surfaces])
+
+
+def _kept(loop: ClosedLoop, time: float) -> list[tuple[Environment, Environment | None]]:
+    """Each surface, and if it has a preload itself moved so that it bears its force at the operating point without penetration."""
+    e = loop.equations
+    if not any(s.f0.any() for s in e.surfaces):
+        raise BadArgument("environment", e.surfaces, "a surface with a preload: its stiffness is the one that is varied")
+    nominal = loop.nominal([time])
+    slots = {"q": nominal.q, "v": nominal.v}
+    forces = e.touch(slots).forces
+    tool = loop.robot.pose(nominal.q[0])
+    out: list[tuple[Environment, Environment | None]] = []
+    for surface, force in zip(e.surfaces, forces, strict=True):
+        if not surface.f0.any():
+            out.append((surface, None))
+            continue
+        f = value(force)[0]
+        if np.allclose(f, surface.f0, rtol=1e-9, atol=1e-9 * np.abs(surface.f0).max()):
+            out.append((surface, surface))
+            continue
+        if any(i > 2 for i in surface.index):
+            raise Unsupported("environment", f"a surface resisting {', '.join(surface.axis_names)}", "one without rotation at the operating point")
+        assert surface.pose is not None
+        moved = np.array(surface.pose)
+        moved[:3, 3] = tool[:3, 3]
+        preload = f if np.shape(surface.stiffness) == (6, 6) else f[list(surface.index)]
+        out.append((surface, replace(surface, pose=moved, preload=preload)))
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class StabilityMap:
+    """Growth of a loop over stiffness and a second quantity."""
+
+    stiffness: Array  #: (k,) [N/m]
+    values: Array  #: (g,) of the second quantity
+    growth: Array  #: (g, k) [1/s] largest real part of the roots that are not at zero; negative: stable
+
+    @property
+    def stable(self) -> Bools:
+        """(g, k)."""
+        return np.asarray(self.growth < 0)
+
+    def boundary(self) -> Array:
+        """(g,) [N/m] the lowest stiffness at which the loop loses stability, between the grid's points; inf: nowhere, NaN: unstable from the first on."""
+        out = np.full(len(self.values), np.inf)
+        for i, row in enumerate(self.growth):
+            lost = np.flatnonzero((row[:-1] < 0) & (row[1:] >= 0))
+            if lost.size:
+                j = int(lost[0])
+                a, b = np.arcsinh(row[j]), np.arcsinh(row[j + 1])
+                log = np.log(self.stiffness[j : j + 2])
+                out[i] = np.exp(log[0] + (log[1] - log[0]) * a / (a - b))
+            elif row[0] >= 0:
+                out[i] = np.nan
+        return out
+
+
+def stiffness_map(make_loop: Callable[[float], ClosedLoop], stiffness: ArrayLike, values: Sequence[float] | Array) -> StabilityMap:
+    """The loop ``make_loop(value)`` over stiffness x values: two linearisations for each value, whatever the number of stiffnesses.
+
+    Args:
+        make_loop: value (a gain, a lag, a dead time) -> loop in contact. stiffness: (k,) [N/m]. values: (g,).
+
+    Raises as ``over_stiffness``.
+    """
+    at = checks.array("values", values, (None,))
+    k = checks.array("stiffness", stiffness, (None,), "stiffnesses > 0 [N/m]")
+    return StabilityMap(k, at, np.stack([over_stiffness(make_loop(float(v)), k).growth for v in at]))
