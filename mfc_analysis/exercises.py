@@ -1,0 +1,341 @@
+r"""The practice questions of the chapter, 9.1 to 9.4, on Pinocchio's dynamics instead of a CoppeliaSim scene.
+
+One revolute joint in a vertical plane (equation 9.6), the angle measured from the horizontal. The link starts at its original position,
+q = 0 (horizontal), at rest, every time. Without a target velocity the target is a step; with one the joint goes there on a quintic whose
+top speed is the target velocity, which takes 1.875 |target| / velocity.
+
+9.4: the RP manipulator q = (theta, d) with its tool at d (cos theta, sin theta, 0) and tau = J^T F for F in base axes,
+J = [[-d sin theta, cos theta], [d cos theta, sin theta]].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.errors import BadArgument, NotConverged
+from mfc_analysis.maths import checks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+QUINTIC_TOP_SPEED = 1.875  #: top speed of a quintic over its mean speed
+SETTLED = 0.02  #: of the way: the band that settling means
+GRAVITY = 9.81  #: [m/s^2]
+
+
+@dataclass(frozen=True)
+class Link:
+    """The joint of equation 9.6: I th'' + m g r cos th + b th' = tau."""
+
+    inertia: float = 0.5  #: I [kg m^2]
+    mass: float = 1.0  #: m [kg]
+    com_distance: float = 0.1  #: r [m]
+    damping: float = 0.1  #: b [N m s/rad]
+
+    def __str__(self) -> str:
+        return (
+            f"I = {self.inertia:g} kg m^2, m = {self.mass:g} kg, r = {self.com_distance:g} m, b = {self.damping:g} N m s/rad; "
+            "starts at q = 0 deg (horizontal), at rest"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class JointRun:
+    """One law on the link: the run, its figures, and whether its loop is stable."""
+
+    name: str
+    loop: ClosedLoop = field(repr=False)
+    simulation: Simulation = field(repr=False)
+    target: float  #: [rad]
+    poles: Array  #: of the loop linearised at rest: about the target, or where the joint comes to rest
+    rests_at: float  #: [rad] where it was linearised
+    stable: bool
+    advice: str  #: what to change; empty where the loop is stable
+
+    @property
+    def overshoot(self) -> float:
+        """Beyond the target, as a fraction of the way; NaN for a run that diverged."""
+        past = math.copysign(1.0, self.target) * (self.simulation.q[:, 0] - self.target)
+        return math.nan if self.simulation.diverged else max(0.0, float(past.max())) / abs(self.target)
+
+    @property
+    def settling_time(self) -> float:
+        """[s] after which the joint stays within 2 % of the way around the target; inf where it does not, NaN for a run that diverged."""
+        outside = np.flatnonzero(np.abs(self.simulation.q[:, 0] - self.target) > SETTLED * abs(self.target))
+        if self.simulation.diverged:
+            return math.nan
+        if outside.size == 0:
+            return 0.0
+        last = int(outside[-1])
+        return math.inf if last + 1 >= len(self.simulation.t) else float(self.simulation.t[last + 1])
+
+    @property
+    def steady_error(self) -> float:
+        """[rad] target minus position at the end of the run."""
+        return math.nan if self.simulation.diverged else float(self.target - self.simulation.q[-1, 0])
+
+    @property
+    def peak_torque(self) -> float:
+        """[N m] largest torque asked of the joint."""
+        return float(np.abs(self.simulation.tau).max())
+
+    @property
+    def peak_velocity(self) -> float:
+        """[rad/s] largest speed of the joint."""
+        return float(np.abs(self.simulation.v).max())
+
+    def rows(self) -> tuple[tuple[str, str], ...]:
+        """What the run gave, in words and numbers with units."""
+        rest = "the target" if math.isclose(self.rests_at, self.target, abs_tol=1e-12) else f"its rest point, {math.degrees(self.rests_at):.4g} deg"
+        verdict = "stable" if self.stable else "NOT STABLE"
+        return (
+            ("law", str(self.loop.law)),
+            ("loop", f"{verdict} about {rest}: poles {', '.join(map(_pole, self.poles))} 1/s"),
+            *((("what to change", self.advice),) if self.advice else ()),
+            ("run", str(self.simulation.message)),
+            ("overshoot", _said(round(100 * self.overshoot, 2), "% of the way")),
+            ("settling time (2 %)", _said(self.settling_time, "s", "not within the run")),
+            ("error at the end", _said(round(math.degrees(self.steady_error), 4), "deg")),
+            ("largest torque", _said(self.peak_torque, "N m")),
+            ("largest velocity", _said(math.degrees(self.peak_velocity), "deg/s")),
+        )
+
+
+def pid(
+    target_deg: float, kp: float, ki: float = 0.0, kd: float = 0.0, velocity_deg: float = 0.0, link: Link | None = None, duration: float = 5.0
+) -> JointRun:
+    """Exercise 9.1: PID (9.8) moves the link to the target.
+
+    Args:
+        target_deg: [deg], not 0. kp [N m/rad], ki [N m/(rad s)], kd [N m s/rad]; ki = 0: no integral.
+        velocity_deg: target velocity [deg/s]; 0: a step. duration: [s] of the run after the motion's end.
+
+    Raises BadArgument for a number that is not finite or a target of 0.
+    """
+    from mfc_analysis.laws import JointPID
+
+    link = link or Link()
+    law = JointPID(checks.number("kp", kp), _or_none("ki", ki), checks.number("kd", kd))
+    slope = link.mass * GRAVITY * link.com_distance
+
+    def advice(at: float) -> str:
+        return routh_advice(link.inertia, link.damping + kd, kp - slope * math.sin(at), ki, kp, kd, "N m")
+
+    return _run("PID", law, target_deg, velocity_deg, link, duration, advice)
+
+
+def pid_with_inverse_dynamics(
+    target_deg: float, kp: float, ki: float = 0.0, kd: float = 0.0, velocity_deg: float = 90.0, link: Link | None = None, duration: float = 5.0
+) -> JointRun:
+    """Exercise 9.2: PID with inverse dynamics (9.12) moves the link to the target, at the target velocity.
+
+    Args:
+        target_deg: [deg], not 0. kp [1/s^2], ki [1/s^3], kd [1/s]; ki = 0: no integral.
+        velocity_deg: target velocity [deg/s], the top speed on the way; 0: a step. duration: [s] of the run after the motion's end.
+
+    Raises BadArgument for a number that is not finite or a target of 0.
+    """
+    from mfc_analysis.laws import ComputedTorque
+
+    law = ComputedTorque(checks.number("kp", kp), _or_none("ki", ki), checks.number("kd", kd))
+
+    def advice(at: float) -> str:
+        return routh_advice(1.0, kd, kp, ki, kp, kd, "")
+
+    return _run("PID + inverse dynamics", law, target_deg, velocity_deg, link or Link(), duration, advice)
+
+
+def _or_none(name: str, ki: float) -> float | None:
+    return checks.number(name, ki) or None
+
+
+def _run(name: str, law: Any, target_deg: float, velocity_deg: float, link: Link, duration: float, advice: Callable[[float], str]) -> JointRun:
+    from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.robots import single_joint
+    from mfc_analysis.trajectories import Hold, Quintic
+
+    target = math.radians(checks.number("target", target_deg))
+    if target == 0:
+        raise BadArgument("target", target_deg, "an angle other than 0 deg, where the link starts")
+    speed = math.radians(checks.number("velocity", velocity_deg, low=0.0))
+    duration = checks.number("duration", duration, low=0.0, strict=True)
+    robot = single_joint(link.inertia, link.mass, link.com_distance, link.damping)
+    moving = QUINTIC_TOP_SPEED * abs(target) / speed if speed else 0.0
+    loop = ClosedLoop(robot, law, Quintic([0.0], [target], moving) if speed else Hold([target]))
+    at_rest = ClosedLoop(robot, law, Hold([target]))
+    lin, rests_at = at_rest.linearize(), target
+    if not law.ki and type(law).__name__ == "JointPID":  # no integral: the joint sags, and comes to rest beside the target
+        try:
+            rests_at = float(at_rest.equilibrium().q[0])
+            lin = at_rest.linearize(about="equilibrium")
+        except NotConverged:
+            rests_at = target
+    simulation = loop.simulate(np.linspace(0.0, moving + duration, 1001), q=[0.0], v=[0.0])
+    poles = lin.poles()[0]
+    poles = poles[np.argsort(-poles.real, kind="stable")]
+    stable = bool(lin.stable[0])
+    return JointRun(name, loop, simulation, target, poles, rests_at, stable, "" if stable else advice(rests_at))
+
+
+def routh_advice(a3: float, a2: float, a1: float, a0: float, kp: float, kd: float, unit: str) -> str:
+    """What to change so that a3 s^3 + a2 s^2 + a1 s + a0 becomes stable: gains kp and kd stand in a1 and a2, ki is a0 (0: none).
+
+    Stable iff all coefficients are positive and a3 a0 < a2 a1.
+    """
+    per = f" {unit}/rad" if unit else " 1/s^2"
+    rate = f" {unit} s/rad" if unit else " 1/s"
+    integral = f" {unit}/(rad s)" if unit else " 1/s^3"
+    if a2 <= 0:
+        return f"raise kd above {kd - a2:.4g}{rate}: nothing damps the joint"
+    if a1 <= 0:
+        return f"raise kp above {kp - a1:.4g}{per}: the joint falls away from the target"
+    if a0 < 0:
+        return "make ki positive: a negative integral drives the error away"
+    if a3 * a0 >= a2 * a1:
+        lower, higher = f"{a2 * a1 / a3:.4g}{integral}", f"{kd - a2 + a3 * a0 / a1:.4g}{rate}"
+        return f"lower ki below {lower}, or raise kd above {higher}: the integral acts faster than the damping"
+    return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Exercise 9.3: both laws on the same motion."""
+
+    plain: JointRun
+    inverse: JointRun
+
+    def rows(self) -> tuple[tuple[str, str, str], ...]:
+        """The figures side by side: figure, PID, PID + inverse dynamics."""
+        left, right = dict(self.plain.rows()), dict(self.inverse.rows())
+        return tuple((key, left.get(key, "-"), right.get(key, "-")) for key in dict.fromkeys([*left, *right]))
+
+    @property
+    def finding(self) -> str:
+        """How the two compare, in a sentence from the figures."""
+        bad = [run.name for run in (self.plain, self.inverse) if run.simulation.diverged or not run.stable]
+        if bad:
+            return f"{' and '.join(bad)}: not stable with these gains, so there is nothing to compare."
+        figures: tuple[tuple[str, float, float, Callable[[float], str]], ...] = (
+            ("overshoots", self.plain.overshoot, self.inverse.overshoot, lambda x: f"{round(100 * x, 2):.3g} %"),
+            ("settles in", self.plain.settling_time, self.inverse.settling_time, lambda x: _said(x, "s", "no time within the run")),
+            ("needs", self.plain.peak_torque, self.inverse.peak_torque, lambda x: f"{x:.3g} N m"),
+        )
+        parts = []
+        for what, plain, inverse, said in figures:
+            names = ("PID", "inverse dynamics") if plain <= inverse else ("inverse dynamics", "PID")
+            low, high = said(min(plain, inverse)), said(max(plain, inverse))
+            parts.append(f"both: {what} {low}" if low == high else f"{names[0]} {what} {low}, {names[1]} {high}")
+        return "; ".join(parts) + "."
+
+
+def compare(
+    target_deg: float,
+    kp: float,
+    ki: float = 0.0,
+    kd: float = 0.0,
+    velocity_deg: float = 90.0,
+    link: Link | None = None,
+    duration: float = 5.0,
+    pid_gains: tuple[float, float, float] | None = None,
+) -> Comparison:
+    """Exercise 9.3: PID and PID with inverse dynamics on the same motion.
+
+    Args:
+        kp [1/s^2], ki [1/s^3], kd [1/s] of the inverse dynamics. pid_gains: (kp, ki, kd) of the plain PID [N m ...]; None: the inertia times
+            the others, so that without gravity and friction both have the same poles.
+        target_deg, velocity_deg, duration: as in ``pid_with_inverse_dynamics``.
+    """
+    link = link or Link()
+    plain = pid_gains or (link.inertia * kp, link.inertia * ki, link.inertia * kd)
+    return Comparison(
+        pid(target_deg, *plain, velocity_deg, link, duration), pid_with_inverse_dynamics(target_deg, kp, ki, kd, velocity_deg, link, duration)
+    )
+
+
+def graph(runs: Sequence[JointRun]) -> tuple[Axes, ...]:
+    """Joint position, joint velocity and torque over time; a second run dashed, at the times of the first."""
+    from mfc_analysis import plots
+
+    first = runs[0].simulation
+    other = runs[1].simulation if len(runs) > 1 else None
+
+    def beside(values: Array, t: Array, scale: float) -> Array:
+        out: Array = np.interp(first.t, t, scale * values, right=np.nan)
+        return out
+
+    degrees = 180 / math.pi
+    q_d = degrees * np.array(runs[0].loop.ref(first.t).q)
+    panels = [
+        plots.Panel("position [deg]", np.hstack([degrees * first.q, q_d]), beside=None if other is None else beside(other.q[:, 0], other.t, degrees)),
+        plots.Panel("velocity [deg/s]", degrees * first.v, beside=None if other is None else beside(other.v[:, 0], other.t, degrees)),
+        plots.Panel("torque [N m]", first.tau, beside=None if other is None else beside(other.tau[:, 0], other.t, 1.0)),
+    ]
+    said = None if other is None else (runs[0].name, runs[1].name)
+    return plots.traces(first.t, panels, ("joint", "reference"), said=said)
+
+
+# --- 9.4 -----------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ForceAnswer:
+    """Exercise 9.4: the joint torques of the RP manipulator that produce a force at its tool."""
+
+    theta: float  #: [rad]
+    d: float  #: [m]
+    force: Array  #: (2,) [N] in base axes
+    jacobian: Array  #: (2, 2) [m, 1], base axes
+    torques: Array  #: (2,) [N m], [N]
+
+    def rows(self) -> tuple[tuple[str, str], ...]:
+        """The answer in words and numbers with units."""
+        J, tau = self.jacobian, self.torques
+        return (
+            ("geometry", "revolute theta, then prismatic d along the arm; tool at d (cos theta, sin theta, 0); F in base axes (x, y)"),
+            ("configuration", f"theta = {math.degrees(self.theta):.6g} deg, d = {self.d:.6g} m"),
+            ("force", f"F = [{self.force[0]:.6g}, {self.force[1]:.6g}] N"),
+            ("Jacobian", f"J = [[{J[0, 0]:.6g}, {J[0, 1]:.6g}], [{J[1, 0]:.6g}, {J[1, 1]:.6g}]]"),
+            ("torques", f"tau = J^T F = [{tau[0]:.6g} N m, {tau[1]:.6g} N]"),
+        )
+
+
+def rp_torques(theta_deg: float = 45.0, d: float = 1.0, force: Sequence[float] = (3.0, 4.0)) -> ForceAnswer:
+    """Exercise 9.4: tau = J^T F on the RP manipulator.
+
+    Args:
+        theta_deg: [deg]. d: [m]. force: (Fx, Fy) [N] in base axes, what the tool shall push with.
+
+    Raises BadArgument for numbers that are not finite.
+    """
+    from mfc_analysis.robots import rp
+
+    theta, d = math.radians(checks.number("theta", theta_deg)), checks.number("d", d)
+    F = checks.array("force", force, (2,))
+    torques = rp().joint_torques([theta, d], [F[0], F[1], 0, 0, 0, 0], frame="world")
+    s, c = math.sin(theta), math.cos(theta)
+    return ForceAnswer(theta, d, F, np.array([[-d * s, c], [d * c, s]]), np.asarray(torques) + 0.0)
+
+
+def _pole(pole: complex) -> str:
+    if abs(pole.imag) < 1e-9 * max(1.0, abs(pole)):
+        return f"{pole.real:.4g}"
+    return f"{pole.real:.4g}{pole.imag:+.4g}j"
+
+
+def _said(value: float, unit: str, infinite: str = "no limit") -> str:
+    if math.isnan(value):
+        return "not defined: the run diverged"
+    if math.isinf(value):
+        return infinite
+    return f"{value + 0.0:.4g} {unit}"

@@ -1,0 +1,48 @@
+"""Where the studies that ship are: ``reports/`` of the checkout, ``mfc_analysis/study_files`` of an installed package."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+
+from mfc_analysis.errors import BadArgument
+
+_HERE = Path(__file__).resolve().parent
+
+
+def folder() -> Path:
+    """The folder of the studies."""
+    inside = _HERE / "study_files"  # in a checkout a link to reports/; where links are not made, a file
+    return inside if inside.is_dir() else _HERE.parent / "reports"
+
+
+def shipped() -> dict[str, tuple[Path, str]]:
+    """name -> (file, title) of each study that ships, in alphabetical order."""
+    out = {}
+    for file in sorted(folder().glob("*.toml")):
+        out[file.stem] = (file, str(tomllib.loads(file.read_text(encoding="utf-8")).get("title", "")))
+    return out
+
+
+def found(path: str | os.PathLike[str]) -> Path:
+    """The path itself where a file is there; else the shipped study of that name; else the path."""
+    given = Path(path)
+    if given.exists() or given.suffix or given.parent != Path("."):
+        return given
+    file = folder() / f"{given.name}.toml"
+    return file if file.is_file() else given
+
+
+def copied(target: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Copies of all shipped studies in a folder, made if it isn't there. Raises BadArgument rather than overwrite one."""
+    out = []
+    to = Path(target)
+    to.mkdir(parents=True, exist_ok=True)
+    for file, _ in shipped().values():
+        copy = to / file.name
+        if copy.exists():
+            raise BadArgument("--copy", str(copy), "a folder without files of these names")
+        copy.write_bytes(file.read_bytes())
+        out.append(copy)
+    return tuple(out)

@@ -1,0 +1,161 @@
+"""``mfc-analysis init``: a commented study for a robot, which runs as it is."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.errors import BadArgument
+
+if TYPE_CHECKING:
+    from mfc_analysis.robots.robot import Robot
+
+Array = NDArray[np.float64]
+
+STRIDE = 0.5  #: [rad, m] the longest way a joint of the first path goes
+
+TEMPLATE = """\
+# A study: a robot, a control law, a path, hardware, and what is asked of the loop.
+#
+#   mfc-analysis check {file}             requirements only: exit code 0 met, 1 not met, 2 bad input
+#   mfc-analysis report {file} --out out  HTML, PDF and JSON
+#
+# SI units and radians throughout; a key that ends in _deg or _hz says so. Files are read relative to this one.
+
+title = {title}
+
+# Where the arm stands at the start: {joints} [{units}].
+q_start = {q_start}
+
+[robot]
+{source}
+tool = {tool}  # the frame that tool references and payloads mean
+# locked = ["finger_joint1"]               # joints to weld, at 0; or {{finger_joint1 = 0.04}}
+# gravity = [0, 0, -9.81]                  # in base axes
+# friction = "none"                        # drop the URDF's joint damping; or {{viscous = 0.5, coulomb = 1.0}}
+# payload = {{mass = 2.0, com = [0, 0, 0.05], inertia = 0.01}}
+
+# What the controller believes, where it is not the plant itself:
+# [controller_model]
+# payload = false
+# inertia_scale = 1.1
+
+[law]
+# mfc-analysis laws lists them; 9.10 is computed torque: tau = M (a_d + kp e + ki z + kd e') + h
+equation = "9.10"
+gains = {{helper = "pid", bandwidth_hz = 10.0, damping = 1.0}}  # or kp = ..., ki = ..., kd = ... themselves
+# form = "printed"                         # the equation as the page has it
+
+[reference]
+# Hold, Quintic, Sinusoid, Waypoints, csv (file = "path.csv"); ToolHold, ToolLine, ToolSinusoid, ToolCircle for tool laws
+kind = "Quintic"
+q1 = {q1}
+duration = {duration}
+
+[hardware]
+torque_lag = 0.002                         # [s]
+# delay = 0.001                            # [s] of each commanded torque
+# sample_time = 0.001                      # [s]; the loop becomes discrete
+# velocity_filter = 0.001                  # [s]
+
+# [environment]                            # for force laws
+# stiffness = 1e4                          # [N/m]
+# damping = 10.0
+# axes = "z"                               # into the surface
+# preload = 5.0                            # [N] at the start
+
+# at = "torque"                            # where the margins are taken, before any table; default: the plant input
+[times]
+stop = {duration}
+count = 51
+
+[requirements]
+phase_deg = 45.0
+gain_increase_db = 6.0
+gain_reduction_db = 6.0
+delay = 0.002                              # [s] of more dead time
+sensitivity_peak = 2.0
+# disk_margin = 0.4
+# damping_ratio = 0.5
+# tracking_error = 1e-3                    # [rad, m] in a nonlinear run
+# torque_fraction = 0.9                    # of the torque limits
+
+# [ranges]                                 # every combination is checked, with the controller's model as it is
+# payload = [0.0, 1.0, 2.0]
+# torque_lag = {{low = 0.001, high = 0.004, count = 4}}
+"""
+
+
+def study_for(robot: Robot, source: str, file: str) -> str:
+    """The text of a study for a robot. ``source``: the line of its ``[robot]`` table that says where it comes from."""
+    q0, q1, duration = first_path(robot)
+    turns = np.abs(robot.jacobian(q0)[3:]).max(axis=0) > 1e-9
+    return TEMPLATE.format(
+        file=_comment(file),
+        title=json.dumps(f"{robot.name}: computed torque along a first path", ensure_ascii=True),
+        joints=_comment(", ".join(robot.joint_names)),
+        units="rad" if turns.all() else "m" if not turns.any() else "rad, m",
+        q_start=_list(q0),
+        source=source,
+        tool=json.dumps(robot.tool, ensure_ascii=True),
+        q1=_list(q1),
+        duration=f"{duration:g}",
+    )
+
+
+def first_path(robot: Robot) -> tuple[Array, Array, float]:
+    """Start, end and duration [s] of a path inside the joint limits, at half their speed at most."""
+    limits = robot.limits
+    lower, upper = np.array(limits.lower), np.array(limits.upper)
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    middle = np.where(bounded, 0.5 * (lower + upper), np.clip(0.0, lower, upper))
+    room = np.where(bounded, 0.5 * (upper - lower), np.inf)
+    half = np.minimum(0.5 * STRIDE, 0.4 * room)
+    q0, q1 = np.round(middle - half, 4), np.round(middle + half, 4)
+    one_sided = np.isfinite(lower) ^ np.isfinite(upper)
+    q0 = np.where(one_sided & np.isfinite(lower), np.round(middle + 0.05, 4), q0)
+    q1 = np.where(one_sided & np.isfinite(upper), np.round(middle - 0.05, 4), q1)
+    speed = np.array(limits.velocity)
+    slowest = float(np.max(1.875 * np.abs(q1 - q0) / (0.5 * np.where(np.isfinite(speed), speed, np.inf))))
+    return q0, q1, max(2.0, math.ceil(10 * slowest) / 10)
+
+
+def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None = None, *, overwrite: bool = False) -> Path:
+    """Writes the study of a URDF file or a robot's name; returns its path.
+
+    Raises BadArgument: the file is there already and ``overwrite`` is False; BadRobot, UnknownName for the robot.
+    """
+    from mfc_analysis.gains_command import robot as robot_of
+
+    robot = robot_of(name, tool)
+    is_file = bool(Path(name).suffix) or Path(name).exists()
+    stem = Path(name).stem if is_file else name
+    target = Path(out) if out is not None else Path(f"{stem}.toml")
+    if target.exists() and not overwrite:
+        raise BadArgument("--out", str(target), "a file that isn't there yet; --force overwrites")
+    if is_file:
+        try:
+            relative = os.path.relpath(Path(name).resolve(), target.resolve().parent)
+        except ValueError:  # another drive
+            relative = str(Path(name).resolve())
+        source = f"urdf = {json.dumps(Path(relative).as_posix(), ensure_ascii=True)}"
+    else:
+        source = f"name = {json.dumps(name)}"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(study_for(robot, source, target.name), encoding="utf-8")
+    return target
+
+
+def _list(values: Array) -> str:
+    return "[" + ", ".join(f"{v + 0.0:g}" for v in values) + "]"
+
+
+def _comment(text: str) -> str:
+    """Text on one line of a comment."""
+    return "".join(c if c.isprintable() else "?" for c in text)
