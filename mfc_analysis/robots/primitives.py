@@ -8,8 +8,9 @@ implicit rule for inverses (y = S^-1 b has tangent S^-1 (db - dS y)). Values are
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property
+from itertools import repeat
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,16 +62,13 @@ class Primitives:
         """M(q) a + C(q, v) v + g(q) [Nm or N], without friction: equation 9.7."""
         qs, vs, accelerations = value(q), value(v), value(a)
         if not any(isinstance(x, Dual) for x in (q, v, a)):
-            return self._each(lambda *x: pin.rnea(self._model, self._data, *x), self.n, qs, vs, accelerations)
+            return self._each(pin.rnea, qs, vs, accelerations)
         if not isinstance(q, Dual) and not isinstance(v, Dual):
             M = self.at(qs).M
-            return chain(self._each(lambda *x: pin.rnea(self._model, self._data, *x), self.n, qs, vs, accelerations), (lambda: M, a))
+            return chain(self._each(pin.rnea, qs, vs, accelerations), (lambda: M, a))
         data = self._data
-
-        def derivatives(*x: Array) -> None:
-            pin.computeRNEADerivatives(self._model, data, *x)
-
-        tau, dq, dv, da = self._collect(derivatives, (data.tau, data.dtau_dq, data.dtau_dv, data.M), qs, vs, accelerations)
+        views = (data.tau, data.dtau_dq, data.dtau_dv, data.M)
+        tau, dq, dv, da = self._collect(pin.computeRNEADerivatives, self._model, data, views, qs, vs, accelerations)
         return chain(tau, (lambda: dq, q), (lambda: dv, v), (lambda: symmetric(da), a))
 
     def inverse_dynamics(self, q: Vector, v: Vector, a: Vector) -> Array | Dual:
@@ -85,25 +83,18 @@ class Primitives:
         """q'' = M(q)^-1 (tau - C v - g), without friction: equation 9.7 solved."""
         qs, vs, taus = value(q), value(v), value(tau)
         if not any(isinstance(x, Dual) for x in (q, v, tau)):
-            return self._each(lambda *x: pin.aba(self._model, self._data, *x), self.n, qs, vs, taus)
+            return self._each(pin.aba, qs, vs, taus)
         data = self._data
-
-        def derivatives(*x: Array) -> None:
-            pin.computeABADerivatives(self._model, data, *x)
-
-        a, dq, dv, inverse = self._collect(derivatives, (data.ddq, data.ddq_dq, data.ddq_dv, data.Minv), qs, vs, taus)
+        views = (data.ddq, data.ddq_dq, data.ddq_dv, data.Minv)
+        a, dq, dv, inverse = self._collect(pin.computeABADerivatives, self._model, data, views, qs, vs, taus)
         return chain(a, (lambda: dq, q), (lambda: dv, v), (lambda: symmetric(inverse), tau))
 
     def mass(self, q: Vector, x: Vector) -> Array | Dual:
         """M(q) x."""
         if isinstance(q, Dual):
             data = self._still_data
-            zero = np.zeros(self.n)
-
-            def derivatives(*at: Array) -> None:
-                pin.computeRNEADerivatives(self._still, data, at[0], zero, at[1])
-
-            tau, dq, M = self._collect(derivatives, (data.tau, data.dtau_dq, data.M), q.value, value(x))
+            views = (data.tau, data.dtau_dq, data.M)
+            tau, dq, M = self._collect(pin.computeRNEADerivatives, self._still, data, views, q.value, None, value(x))
             return chain(tau, (lambda: dq, q), (lambda: symmetric(M), x))
         M = self.at(value(q)).M
         return chain(times(M, value(x)), (lambda: M, x))
@@ -112,12 +103,8 @@ class Primitives:
         """M(q)^-1 f."""
         if isinstance(q, Dual):
             data = self._still_data
-            zero = np.zeros(self.n)
-
-            def derivatives(*at: Array) -> None:
-                pin.computeABADerivatives(self._still, data, at[0], zero, at[1])
-
-            a, dq, inverse = self._collect(derivatives, (data.ddq, data.ddq_dq, data.Minv), q.value, value(f))
+            views = (data.ddq, data.ddq_dq, data.Minv)
+            a, dq, inverse = self._collect(pin.computeABADerivatives, self._still, data, views, q.value, None, value(f))
             return chain(a, (lambda: dq, q), (lambda: symmetric(inverse), f))
         inverse = self.at(value(q)).M_inverse
         return chain(times(inverse, value(f)), (lambda: inverse, f))
@@ -126,14 +113,9 @@ class Primitives:
         """g(q)."""
         if isinstance(q, Dual):
             data = self._data
-            zero = np.zeros(self.n)
-
-            def derivatives(at: Array) -> None:
-                pin.computeRNEADerivatives(self._model, data, at, zero, zero)
-
-            g, dq = self._collect(derivatives, (data.tau, data.dtau_dq), q.value)
+            g, dq = self._collect(pin.computeRNEADerivatives, self._model, data, (data.tau, data.dtau_dq), q.value, None, None)
             return Dual(g, dq @ q.tangent)
-        return self._each(lambda at: pin.computeGeneralizedGravity(self._model, self._data, at), self.n, value(q))
+        return self._each(pin.computeGeneralizedGravity, value(q))
 
     def friction(self, v: Vector) -> Array | Dual:
         """The plant's joint friction: viscous v + coulomb tanh(v / coulomb_speed)."""
@@ -234,32 +216,40 @@ class Primitives:
     def _configurations(self, q: Array) -> Array:
         return np.ascontiguousarray(q if self._plain else self.robot.configuration(q)).reshape(-1, self._model.nq)
 
-    def _each(self, call: Callable[..., Array], size: int, q: Array, *more: Array) -> Array:
-        """A Pinocchio function of (q, ...) at every point."""
+    def _each(self, call: Callable[..., Array], q: Array, *more: Array) -> Array:
+        """A Pinocchio function of (model, data, q, ...) with values (n,), at every point."""
+        model, data = self._model, self._data
         if q.ndim == 1 and self._order is None and all(x.ndim == 1 for x in more):
-            return np.array(call(q if self._plain else self.robot.configuration(q), *more))
+            return np.array(call(model, data, q if self._plain else self.robot.configuration(q), *more))
         lead = np.broadcast_shapes(q.shape[:-1], *(x.shape[:-1] for x in more))
-        columns = self._columns(lead, q, more)
-        out = np.empty((len(columns[0]), size))
-        for i, at in enumerate(zip(*columns, strict=True)):
-            out[i] = call(*at)
-        return (out if self._order is None else out[:, self._back]).reshape(*lead, size)
+        count, columns = self._columns(lead, q, more)
+        out = np.empty((count, self.n))
+        for i, at in enumerate(zip(*columns, strict=False)):
+            out[i] = call(model, data, *at)
+        return (out if self._order is None else out[:, self._back]).reshape(*lead, self.n)
 
-    def _columns(self, lead: tuple[int, ...], q: Array, more: tuple[Array, ...]) -> list[Array]:
-        columns = [self._configurations(np.broadcast_to(q, (*lead, self.n)))]
+    def _columns(self, lead: tuple[int, ...], q: Array, more: tuple[Array | None, ...]) -> tuple[int, list[Iterable[Array]]]:
+        first = self._configurations(np.broadcast_to(q, (*lead, self.n)))
+        columns: list[Iterable[Array]] = [first]
         for x in more:
+            if x is None:
+                columns.append(repeat(np.zeros(self.n)))
+                continue
             x = np.broadcast_to(x, (*lead, self.n)).reshape(-1, self.n)
             columns.append(np.ascontiguousarray(x if self._order is None else x[:, self._order]))
-        return columns
+        return len(first), columns
 
-    def _collect(self, call: Callable[..., None], views: tuple[Array, ...], q: Array, *more: Array) -> list[Array]:
-        """Call at every point and copy Pinocchio's own arrays (views that each call refills) into batches."""
-        lead = np.broadcast_shapes(q.shape[:-1], *(x.shape[:-1] for x in more))
-        columns = self._columns(lead, q, more)
-        outs = [np.empty((len(columns[0]), *view.shape)) for view in views]
-        for i, at in enumerate(zip(*columns, strict=True)):
-            call(*at)
-            for out, view in zip(outs, views, strict=True):
+    def _collect(
+        self, call: Callable[..., object], model: pin.Model, data: pin.Data, views: tuple[Array, ...], q: Array, *more: Array | None
+    ) -> list[Array]:
+        """Call at every point (None: zeros) and copy Pinocchio's own arrays, views that each call refills, into batches."""
+        lead = np.broadcast_shapes(q.shape[:-1], *(x.shape[:-1] for x in more if x is not None))
+        count, columns = self._columns(lead, q, more)
+        outs = [np.empty((count, *view.shape)) for view in views]
+        pairs = list(zip(outs, views, strict=True))
+        for i, at in enumerate(zip(*columns, strict=False)):
+            call(model, data, *at)
+            for out, view in pairs:
                 out[i] = view
         if self._order is not None:
             outs = [out[:, self._back] if out.ndim == 2 else out[:, self._back[:, None], self._back] for out in outs]
@@ -350,11 +340,7 @@ class Configuration:
     def M(self) -> Array:
         """Mass matrix (..., n, n), armature included."""
         of = self._of
-
-        def crba(at: Array) -> None:
-            pin.crba(of._model, of._data, at)
-
-        (M,) = of._collect(crba, (of._data.M,), self.q)
+        (M,) = of._collect(pin.crba, of._model, of._data, (of._data.M,), self.q)
         return symmetric(M)
 
     @cached_property
@@ -373,11 +359,16 @@ class Configuration:
         self.check_regular()
         return np.asarray(np.linalg.inv(self.J @ self.M_inverse @ self.J_T), float)
 
+    @cached_property
+    def sigma(self) -> Array:
+        """Singular values of J, largest first, (..., min(6, n))."""
+        return np.asarray(np.linalg.svd(self.J, compute_uv=False), float)
+
     def check_regular(self) -> None:
         """Warn where the condition number of J exceeds 1e4, raise NearSingular above 1e6 (or where rank is below min(6, n))."""
         if self._regular:
             return
-        sigma = np.linalg.svd(self.J, compute_uv=False)
+        sigma = self.sigma
         low, high = np.ravel(sigma[..., -1]), np.ravel(sigma[..., 0])
         condition = np.divide(high, low, out=np.full_like(high, np.inf), where=low > 0)
         worst = int(np.argmax(condition))
