@@ -19,7 +19,7 @@ from mfc_analysis.linearization import Linearization
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import value
 from mfc_analysis.operating_point import Nominal, OperatingPoint, residual, rest_point, trimmed
-from mfc_analysis.robots.primitives import WARN_CONDITION
+from mfc_analysis.robots.primitives import WARN_CONDITION, Configuration
 from mfc_analysis.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -192,7 +192,8 @@ class ClosedLoop:
         t = checks.times(times)
         checks.choice("about", about, ("reference", "equilibrium", "simulation"))
         point = self._point(t, about, simulation)
-        chosen = self._coordinates(coordinates, point)
+        arm = self._regular(point)
+        chosen = self._coordinates(coordinates, arm)
 
         def again(other: Array) -> Linearization:
             return self.linearize(other, about, chosen, simulation)
@@ -202,7 +203,16 @@ class ClosedLoop:
 
         return Linearization(self.equations, point, chosen, self.default_at, again, left_over)
 
-    def _coordinates(self, asked: Coordinates | None, point: OperatingPoint) -> Coordinates:
+    def _regular(self, point: OperatingPoint) -> Configuration:
+        """The arm at the operating points; for a tool law without damping, warned about or refused here where it is near-singular."""
+        plant = self.equations.plant
+        arm = plant.at(np.ascontiguousarray(point.x[:, : self.robot.n]))
+        if self.law.space == "tool" and not getattr(self.law, "damping", 0.0):
+            plant.times = point.times
+            arm.check_regular()
+        return arm
+
+    def _coordinates(self, asked: Coordinates | None, arm: Configuration) -> Coordinates:
         if asked is not None:
             checks.choice("coordinates", asked, ("state", "error"))
             if asked == "error" and self.law.space == "tool" and self.robot.n != 6:
@@ -210,8 +220,7 @@ class ClosedLoop:
                 raise Unsupported("coordinates", "error", takes)
             return asked
         if self.law.space == "tool" and self.robot.n == 6:
-            q = np.ascontiguousarray(point.x[:, :6])
-            sigma = np.linalg.svd(self.equations.plant.at(q).J, compute_uv=False)
+            sigma = arm.sigma
             if np.all(sigma[:, 0] < WARN_CONDITION * sigma[:, -1]):
                 return "error"
         return "state"

@@ -71,8 +71,16 @@ def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPo
 
 
 def residual(equations: Equations, times: Array, x: Array, nominal: Nominal) -> Array:
-    """(m, n) what the law leaves over at x: q'' - a_d, or q' - v_d on velocity plants."""
+    """(m, n) what the law leaves over at x: q'' - a_d, or q' - v_d on velocity plants.
+
+    Elastic joints: the acceleration that the motors' torque lacks, for joints and motors together, as if the springs were rigid.
+    """
     rates = _rates(equations, times, x)
+    if "theta" in equations.parts:
+        B = equations.hardware.per_joint("motor_inertia", equations.n)
+        both = equations.plant.at(np.ascontiguousarray(x[:, equations.parts["q"].where])).M + np.diag(B)
+        lacking = B * (rates["omega"] - nominal.a)
+        return np.asarray(np.linalg.solve(both, lacking[..., None])[..., 0] + rates["v"] - nominal.a)
     return rates["v"] - nominal.a if equations.actuator == "torque" else rates["q"] - nominal.v
 
 
