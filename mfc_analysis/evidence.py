@@ -137,7 +137,9 @@ class Evidence:
         roots, zero = self._roots
         real = np.where(zero, -np.inf, roots.real)
         i, k = np.unravel_index(int(np.argmax(real)), real.shape)
-        return Found(float(real[i, k]), self._joint_of(int(i), complex(roots[i, k])), float(self.times[i]))
+        root = complex(roots[i, k])
+        note = f"{abs(root.imag):.4g} rad/s" if abs(root.imag) > 1e-9 * abs(root) else "real"
+        return Found(float(real[i, k]), self._joint_of(int(i), root), float(self.times[i]), note)
 
     @cached_property
     def _roots(self) -> tuple[NDArray[np.complex128], Bools]:
