@@ -24,6 +24,7 @@ def step(
     band: float | None = None,
     index: int = 0,
     quantity: str = "q [rad]",
+    drive: str = "τ [Nm]",
     title: str = "Step response",
     axes: tuple[Axes, ...] | None = None,
 ) -> tuple[Axes, ...]:
@@ -53,7 +54,7 @@ def step(
             linewidth=1.2,
         )
     else:
-        sheet.empty(lower, "torque not recorded", sheet.GREY)
+        sheet.empty(lower, "not recorded", sheet.GREY)
     if torque_limit is not None and np.isfinite(torque_limit):
         for side in (1, -1):
             lower.axhline(side * torque_limit, color=sheet.INK, linewidth=0.8, linestyle=":")
@@ -61,6 +62,6 @@ def step(
         ax.set_xlim(time[0], time[-1])
     sheet.hide_times((upper, lower))
     sheet.label(upper, "", quantity, title)
-    sheet.label(lower, "t [s]", "τ [Nm]")
+    sheet.label(lower, "t [s]", drive)
     sheet.legend(upper, columns=2, above=True)
     return upper, lower
