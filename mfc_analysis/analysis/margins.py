@@ -182,7 +182,7 @@ def _figures(ch: Channels, judged: Bools, known: Spectrum, modes: Modes) -> Figu
         _put(figures, plain, _figures_of(continuous(ch.at(plain)), ch.dt, modes=(poles, modes[1][plain])))
     for count in np.unique(known.roots.count[judged & (known.roots.count > 0)]):
         some = np.flatnonzero(judged & (known.roots.count == count))
-        clean, seen = _without_zeros(ch.at(some))
+        clean, seen = _without_zeros(ch.at(some), int(count))
         found = _figures_of(continuous(clean), ch.dt)
         if seen.any():
             hit = seen.any(axis=1)
@@ -198,10 +198,11 @@ def _put(figures: Figures, index: NDArray[np.int64], found: Figures) -> None:
         values[index] = getattr(found, name)
 
 
-def _without_zeros(ch: Channels) -> tuple[Channels, Bools]:
+def _without_zeros(ch: Channels, count: int) -> tuple[Channels, Bools]:
     """The channels without the roots at zero, and (m, n) which of them see these roots after all."""
     one = np.eye(ch.A.shape[-1]) * (1.0 if ch.dt else 0.0)
-    parts = [without_zero_roots(a - one, b, c) for a, b, c in zip(ch.A, ch.B, ch.C, strict=True)]
+    step = ch.dt or 1.0
+    parts = [without_zero_roots((a - one) / step, b, c, count) for a, b, c in zip(ch.A, ch.B, ch.C, strict=True)]
     seen = np.zeros(ch.H0.shape, bool)
     for i, part in enumerate(parts):
         row, size = part.C_zero, np.abs(part.C_zero)
@@ -211,7 +212,7 @@ def _without_zeros(ch: Channels) -> tuple[Channels, Bools]:
             seen[i] |= np.abs(strength) > 1e-9 * (scale + np.diagonal(rest)) + 1e-300
             row, size = row @ part.A_zero, size @ np.abs(part.A_zero)
     eye = np.eye(len(parts[0].A)) * (1.0 if ch.dt else 0.0)
-    A, B, C = np.stack([p.A + eye for p in parts]), np.stack([p.B for p in parts]), np.stack([p.C for p in parts])
+    A, B, C = np.stack([p.A * step + eye for p in parts]), np.stack([p.B for p in parts]), np.stack([p.C for p in parts])
     return Channels(ch.names, A, B, C, ch.H0, ch.dt), seen
 
 
@@ -247,7 +248,7 @@ def dc_sensitivity(ch: Channels, zeros: NDArray[np.int64]) -> Array:
         if not count:
             out[some] = _at_zero(ch.at(some))
             continue
-        clean, seen = _without_zeros(ch.at(some))
+        clean, seen = _without_zeros(ch.at(some), int(count))
         out[some] = np.where(seen, np.nan, _at_zero(clean))
     return out
 

@@ -72,19 +72,21 @@ def spectrum(system: OpenSystem, eigenvalues: Complex | None = None) -> Spectrum
     A = close_wires(system)[0]
     one = 1.0 if system.dt else 0.0
     found = np.array(np.linalg.eigvals(A) if eigenvalues is None else eigenvalues, np.complex128).reshape(A.shape[:2])
-    shifted = A - one * np.eye(system.nx)
+    shifted = (A - one * np.eye(system.nx)) / (system.dt or 1.0)
     m = len(A)
     roots = ZeroRoots(np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, bool), np.zeros(m, np.int64))
     size = np.abs(found - one)
     doubtful = np.flatnonzero(size.min(axis=1, initial=np.inf) <= 1e-3 * size.max(axis=1, initial=0.0))
     if doubtful.size:
-        some = zero_roots(shifted[doubtful], system.integrals)
+        # a sampled loop rests and slides where the continuous one behind it does, and that one shows it without rounding
+        behind = None if system.continuous is None else close_wires(system.continuous)[0]
+        some = zero_roots((shifted if behind is None else behind)[doubtful], system.integrals)
         for name in ("dropped", "neutral", "drifts", "count"):
             getattr(roots, name)[doubtful] = getattr(some, name)
     at_zero = np.arange(system.nx) < roots.count[:, None]
     for i in np.flatnonzero(roots.count):
         found[i] = one
-        found[i, roots.count[i] :] += nonzero_roots(shifted[i], int(roots.count[i]))
+        found[i, roots.count[i] :] += nonzero_roots(shifted[i], int(roots.count[i])) * (system.dt or 1.0)
     s = rates(found, 1.0 if system.dt else 0.0)
     order = np.lexsort((-s.imag, np.abs(s.imag), np.abs(s.real), ~at_zero), axis=1)
     return Spectrum(np.take_along_axis(found, order, 1), np.take_along_axis(at_zero, order, 1), roots, system.dt)

@@ -123,7 +123,7 @@ def _end(system: OpenSystem, into: int, out: int, others_decay: bool, known: Spe
     a, b, c = A[0] - (np.eye(system.nx) if system.dt else 0.0), B[0][:, [into]], C[0][[out]]
     gain = 0.0
     if known.roots.count[0]:
-        split = without_zero_roots(a, b, c)
+        split = without_zero_roots(a, b, c, int(known.roots.count[0]))
         row, size = split.C_zero, np.abs(split.C_zero)
         other = float((np.abs(split.C) @ np.abs(split.B))[0, 0])
         for _ in range(len(split.A_zero)):

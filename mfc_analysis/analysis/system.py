@@ -15,7 +15,7 @@ With ``dt > 0`` the model is discrete (x' is the next x) and dead time is alread
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ class OpenSystem:
     plant_states: tuple[int, ...] = ()  #: states of the plant (the others belong to the controller)
     law: str = "the loop"  #: for messages
     dt: float = 0.0  #: [s] sample time, 0: continuous
-    extra: Mapping[str, object] = field(default_factory=dict)
+    continuous: OpenSystem | None = None  #: of a sampled loop: the continuous one behind it
 
     @property
     def nx(self) -> int:
@@ -67,9 +67,8 @@ class OpenSystem:
 
     def at(self, index: slice | Array) -> OpenSystem:
         """The same system at some of its points."""
-        from dataclasses import replace
-
-        return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index])
+        behind = None if self.continuous is None else self.continuous.at(index)
+        return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index], continuous=behind)
 
 
 def close_wires(system: OpenSystem, keep: NDArray[np.bool_] | None = None) -> tuple[Array, Array, Array, Array]:

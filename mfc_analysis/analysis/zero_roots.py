@@ -87,11 +87,16 @@ def zero_roots(A: Array, integrals: tuple[int, ...] = ()) -> ZeroRoots:
     return ZeroRoots(dropped, neutral, drifts, count)
 
 
-def without_zero_roots(A: Array, B: Array, C: Array) -> Split:
-    """A (nx, nx), B (nx, p), C (q, nx) with the roots at zero taken out: C (sI - A)^-1 B is the sum of the two parts."""
+def without_zero_roots(A: Array, B: Array, C: Array, count: int | None = None) -> Split:
+    """A (nx, nx), B (nx, p), C (q, nx) with the roots at zero taken out: C (sI - A)^-1 B is the sum of the two parts.
+
+    ``count``: how many they are, where that is known better than this matrix tells (a sampled loop rounds its own zeros away).
+    """
     scale, balanced = _balanced(A)
     B, C = B / scale[:, None], C * scale
     right, left = _zero_space(balanced), _zero_space(balanced.T)
+    if count is not None and not right.shape[1] == left.shape[1] == count:
+        right, left = _slowest_space(balanced, count), _slowest_space(balanced.T, count)
     pairing = np.linalg.solve(left.T @ right, left.T)
     others = _complement(left)
     return Split(
@@ -106,7 +111,7 @@ def without_zero_roots(A: Array, B: Array, C: Array) -> Split:
 
 def nonzero_roots(A: Array, count: int) -> NDArray[np.complex128]:
     """The (nx - count,) eigenvalues of A (nx, nx) that are not at zero; ``count`` of ``ZeroRoots``."""
-    found = np.linalg.eigvals(without_zero_roots(A, np.zeros((len(A), 0)), np.zeros((0, len(A)))).A)
+    found = np.linalg.eigvals(without_zero_roots(A, np.zeros((len(A), 0)), np.zeros((0, len(A))), count).A)
     assert found.size == len(A) - count
     return np.asarray(found, np.complex128)
 
@@ -136,6 +141,17 @@ def _zero_space(A: Array) -> Array:
         return null
     others = _complement(null)
     return np.hstack([null, others @ _zero_space(_restricted(A, others))])
+
+
+def _slowest_space(A: Array, count: int) -> Array:
+    """Orthonormal basis (n, count) of the invariant subspace of the ``count`` eigenvalues nearest zero."""
+    from scipy.linalg import schur
+
+    if count == 0:
+        return np.zeros((len(A), 0))
+    size = np.sort(np.abs(np.linalg.eigvals(A)))
+    limit = np.inf if count >= len(A) else float(np.sqrt(max(size[count - 1], 1e-300) * size[count]))
+    return np.asarray(schur(A, output="real", sort=lambda re, im: np.hypot(re, im) < limit)[1][:, :count], float)
 
 
 def _without_idle(A: Array, integrals: tuple[int, ...]) -> Array:
