@@ -44,8 +44,11 @@ class Validation:
     t: Array  #: (N,) [s]
     nonlinear: Array  #: (N, n) joint deviations of the nonlinear run at ``size``
     linear: Array  #: (N, n) as the linear model predicts them
+    message: str = ""  #: why there are no figures (NaN), where a run did not reach its end
 
     def __str__(self) -> str:
+        if self.message:
+            return f"not validated: {self.message}"
         reach = "beyond 3" if np.isinf(self.radius) else f"{self.radius:.3g}"
         return f"Taylor order {self.taylor_order:.3f}; misfit {100 * self.nrmse:.3g} % at {self.size:g} rad; below 5 % up to {reach} rad"
 
@@ -58,7 +61,7 @@ def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validatio
     t = _grid(loop, time)
     base = loop.simulate(t, x=x0, **TIGHT)  # type: ignore[arg-type]
     if base.diverged:
-        return _nothing(time, size, loop.robot.n)
+        return _nothing(time, size, loop.robot.n, base.message)
     direction = np.zeros(loop.equations.nx)
     q = loop.equations.parts["q"].where
     direction[q] = np.random.default_rng(seed).uniform(-1.0, 1.0, loop.robot.n)
@@ -66,13 +69,16 @@ def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validatio
     if "theta" in loop.equations.parts:  # motor and link move together
         direction[loop.equations.parts["theta"].where] = direction[q]
     predicted = _predict(loop, base, t, direction)
+    stopped: list[str] = []
 
     def compare(size: float, tight: bool = True) -> tuple[Array, Array] | None:
         try:
             run = loop.simulate(t, x=x0 + size * direction, **(TIGHT if tight else {"rtol": 1e-7, "atol": 1e-10}))  # type: ignore[arg-type]
-        except MfcError:
+        except MfcError as why:
+            stopped.append(str(why))
             return None
         if run.diverged:
+            stopped.append(run.message)
             return None
         return run.x[:, q] - base.x[:, q], size * predicted[:, q]
 
@@ -82,7 +88,7 @@ def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validatio
     order = _order(sizes, remainders)
     here = pairs[0]
     if here is None:
-        return _nothing(time, size, loop.robot.n)
+        return _nothing(time, size, loop.robot.n, stopped[0] if stopped else "the disturbed run stopped")
     return Validation(time, size, order, misfit(*here), _radius(lambda s: compare(s, tight=False), size), sizes, remainders, t, *here)
 
 
@@ -142,6 +148,6 @@ def _radius(compare: Callable[[float], tuple[Array, Array] | None], size: float)
     return low
 
 
-def _nothing(time: float, size: float, n: int) -> Validation:
+def _nothing(time: float, size: float, n: int, why: str) -> Validation:
     nan = float("nan")
-    return Validation(time, size, nan, nan, 0.0, np.zeros(0), np.zeros(0), np.zeros(1), np.full((1, n), nan), np.full((1, n), nan))
+    return Validation(time, size, nan, nan, 0.0, np.zeros(0), np.zeros(0), np.zeros(1), np.full((1, n), nan), np.full((1, n), nan), why)
