@@ -80,7 +80,7 @@ def run(number: str, given: Mapping[str, float], link: Mapping[str, float], dura
     body = exercises.Link(**link)
     terminal.say("", f"link: {body}", "")
     if number == "9.3":
-        both = exercises.compare(*(answers[key] for key, _, _ in _INVERSE), body, duration)
+        both = exercises.compare(answers["target_deg"], answers["kp"], answers["ki"], answers["kd"], answers["velocity_deg"], body, duration)
         terminal.table(("", "PID (9.1)", "PID + inverse dynamics (9.2)"), both.rows())
         terminal.say(both.finding)
         runs: list[JointRun] = [both.plain, both.inverse]
