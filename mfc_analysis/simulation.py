@@ -7,7 +7,9 @@ model advances them. One-sided surfaces push and never pull; touch and lift are 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -17,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from mfc_analysis.equations import Equations, Inputs
-from mfc_analysis.errors import BadArgument, MfcError
+from mfc_analysis.errors import BadArgument, MfcError, MfcWarning
 from mfc_analysis.jacobians import closed_matrix
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import value
@@ -238,18 +240,40 @@ def simulate(
     e = loop.equations
     run = _Run(e, _disturbance(disturbance, e.n), options, _Path(float(asked[0]), x0), [])
     e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # an impossible start is an error, not an outcome
-    if len(asked) > 1:
-        if e.hardware.sample_time is not None:
-            from mfc_analysis.sampled_run import run_sampled
+    with _one_warning():
+        if len(asked) > 1:
+            _run(run, asked, x0)
+        return _gathered(run, asked)
 
-            run_sampled(run, asked, x0)
-        elif e.hardware.delay is not None or e.hardware.force_delay is not None:
-            from mfc_analysis.sampled_run import run_with_dead_time
 
-            run_with_dead_time(run, asked, x0)
-        else:
-            _run_continuous(run, asked, x0)
-    return _gathered(run, asked)
+def _run(run: _Run, asked: Array, x0: Array) -> None:
+    hardware = run.equations.hardware
+    if hardware.sample_time is not None:
+        from mfc_analysis.sampled_run import run_sampled
+
+        run_sampled(run, asked, x0)
+    elif hardware.delay is not None or hardware.force_delay is not None:
+        from mfc_analysis.sampled_run import run_with_dead_time
+
+        run_with_dead_time(run, asked, x0)
+    else:
+        _run_continuous(run, asked, x0)
+
+
+@contextmanager
+def _one_warning() -> Iterator[None]:
+    """Of the warnings that a run repeats at each step (a Jacobian close to singular) only the first reaches the user."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MfcWarning)
+        try:
+            yield
+        finally:
+            kept, seen = list(caught), False
+    for one in kept:
+        ours = issubclass(one.category, MfcWarning)
+        if not (ours and seen):
+            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+        seen = seen or ours
 
 
 def _run_continuous(run: _Run, asked: Array, x0: Array) -> None:
