@@ -13,12 +13,13 @@ from scipy.linalg import expm
 
 from mfc_analysis import laws as L
 from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
+from mfc_analysis.hardware import Hardware
 from mfc_analysis.jacobians import closed_matrix
 from mfc_analysis.laws.task_torque import TaskComputedTorque
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import ad, adjoint, exp6, inverse, log6
 from mfc_analysis.operating_point import trimmed
-from mfc_analysis.trajectories import Hold, ToolHold, ToolSinusoid, from_tool_path
+from mfc_analysis.trajectories import Hold, ToolHold, ToolLine, ToolSinusoid, from_tool_path
 from tests.conftest import ARMS, SIX, arm, full, moving, plant, regular_pose, seed
 
 TIMES = np.array([0.0, 0.37, 0.81])
@@ -231,16 +232,22 @@ def test_with_damping_a_singular_pose_is_passed(law: L.Law) -> None:
     assert not sim.diverged and np.isfinite(sim.q).all()
 
 
-def test_a_run_into_a_singular_pose_stops_and_says_where() -> None:
-    robot = arm("ur5")
-    start, goal = near_singular(0.6), near_singular(-0.6)
-    loop = ClosedLoop(robot, L.TaskVelocity(3.0), ToolHold(robot.pose(goal)), q_start=goal)
-    sim = loop.simulate(5.0, q=start)
-    if not sim.diverged:  # it went round: a run that ends is at the goal
-        assert_allclose(sim.error[-1], 0, atol=1e-3)
-        pytest.skip("this path went round the singularity")
-    assert "tool0" in sim.message and sim.outcome.name == "REFUSED"
-    assert sim.t.size > 1 and np.isfinite(sim.q).all()
+@pytest.mark.parametrize("hardware", [None, Hardware(sample_time=0.01)], ids=["ideal", "sampled"])
+def test_a_run_into_a_singular_pose_stops_keeps_what_it_has_and_says_where(hardware: Hardware | None) -> None:
+    """A line that leaves the workspace: the arm is stretched, and the law refuses, there or where it is thrown."""
+    robot, X = arm("ur5"), arm("ur5").pose(EASY)
+    away = X.copy()
+    away[:3, 3] *= 2.5
+    loop = ClosedLoop(robot, TaskComputedTorque(90.0, kd=18.0), ToolLine(X, away, 2.0), q_start=EASY, hardware=hardware)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sim = loop.simulate(2.0)
+    assert sum(issubclass(w.category, MfcWarning) for w in caught) <= 1  # not one for each step of the solver
+    assert sim.diverged and 0.3 < sim.end < 2.0
+    assert sim.t.size > 10 and all(np.isfinite(part).all() for part in (sim.q, sim.v, sim.tau, sim.error))
+    assert f"at t = {sim.end:.4g} s" in sim.message
+    if hardware is None:
+        assert sim.outcome.name == "REFUSED" and "frame 'tool0'" in sim.message and "smallest singular value" in sim.message
 
 
 def test_an_error_near_pi_is_refused_with_its_angle() -> None:
