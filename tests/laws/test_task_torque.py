@@ -246,8 +246,17 @@ def test_a_run_into_a_singular_pose_stops_keeps_what_it_has_and_says_where(hardw
     assert sim.diverged and 0.3 < sim.end < 2.0
     assert sim.t.size > 10 and all(np.isfinite(part).all() for part in (sim.q, sim.v, sim.tau, sim.error))
     assert f"at t = {sim.end:.4g} s" in sim.message
-    if hardware is None:
-        assert sim.outcome.name == "REFUSED" and "frame 'tool0'" in sim.message and "smallest singular value" in sim.message
+
+
+@pytest.mark.parametrize("hardware", [None, Hardware(sample_time=1e-3)], ids=["ideal", "sampled"])
+def test_a_run_that_the_law_refuses_ends_at_that_time(hardware: Hardware | None) -> None:
+    """Kp = -1 makes X_e grow as exp(t): from 1 rad it comes within 1e-3 of pi at ln(pi - 1e-3)."""
+    loop = ClosedLoop(arm("ur5"), L.TaskVelocity(-1.0), ToolHold(arm("ur5").pose(EASY)), q_start=EASY, hardware=hardware)
+    sim = loop.simulate(2.0, [0, 0, 0, 0, 0, 1.0])
+    assert sim.diverged and sim.outcome.name == "REFUSED"
+    assert_allclose(sim.end, np.log(np.pi - 1e-3), atol=5e-3)
+    assert "3.14" in sim.message and "at t = 1.14" in sim.message
+    assert np.isfinite(sim.q).all() and sim.error[-1, 5] > 3.1
 
 
 def test_an_error_near_pi_is_refused_with_its_angle() -> None:
