@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,6 +47,10 @@ class Environment:
     axes: str = "z"
     preload: float | Array = 0.0
     one_sided: bool = False
+    index: tuple[int, ...] = field(init=False, repr=False)  #: the directions that resist, of x, y, z, rx, ry, rz
+    K: Array = field(init=False, repr=False)  #: (6, 6) stiffness in the compliance frame
+    B: Array = field(init=False, repr=False)  #: (6, 6) damping there
+    f0: Array = field(init=False, repr=False)  #: (6,) preload there
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -63,11 +67,6 @@ class Environment:
             set_(self, "pose", pose_matrix("pose", self.pose))
         if not isinstance(self.one_sided, (bool, np.bool_)):
             raise BadArgument("one_sided", self.one_sided, "True or False")
-
-    index: tuple[int, ...] = ()
-    K: Array = None  # type: ignore[assignment]  # (6, 6), set in __post_init__
-    B: Array = None  # type: ignore[assignment]  # (6, 6), set in __post_init__
-    f0: Array = None  # type: ignore[assignment]  # (6,), set in __post_init__
 
     @property
     def axis_names(self) -> tuple[str, ...]:

@@ -135,7 +135,14 @@ class ClosedLoop:
         from mfc_analysis.trajectories.inverse_kinematics import follow
 
         assert self.q_start is not None
-        return Nominal(*follow(self.robot, self.ref, self.q_start, t, damping=float(getattr(self.law, "damping", 0.0))))
+        found = Nominal(*follow(self.robot, self.ref, self.q_start, t, damping=float(getattr(self.law, "damping", 0.0))))
+        limits = self.robot.limits
+        over = np.maximum(found.q - limits.upper, limits.lower - found.q)
+        if np.any(over > 1e-9):
+            i, j = np.unravel_index(int(np.argmax(over)), over.shape)
+            text = f"the tool reference takes joint {self.robot.joint_names[j]} {over[i, j]:.3g} beyond its limit at t = {t[i]:.4g} s"
+            warnings.warn(text, MfcWarning, stacklevel=3)
+        return found
 
     def _point(self, t: Array, about: str, simulation: Simulation | None) -> OperatingPoint:
         if about == "reference":

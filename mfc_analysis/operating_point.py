@@ -43,6 +43,7 @@ def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPo
     Where Ki is singular z is the least-squares solution of smallest norm. Actuator lags are at that torque, filters at what they measure.
     """
     plant, hardware = equations.plant, equations.hardware
+    plant.times = equations.controller.times = times
     q, v, a = nominal.q, nominal.v, nominal.a
     slots: dict[str, Array] = {name: np.zeros((len(times), where.stop - where.start)) for name, (where, _) in equations.parts.items()}
     slots["q"] = q
