@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
-from mfc_analysis.errors import BadArgument, Unsupported
-from mfc_analysis.stiffness import growth, over_stiffness, stiffness_map, with_stiffness, without_idle
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.stiffness import growth, over_stiffness, stable_up_to, stiffness_map, with_stiffness, without_idle
 
 F_D = np.array([0, 0, 10.0, 0, 0, 0])
 Z = np.array([0, 0, 1.0, 0, 0, 0])
@@ -97,8 +97,19 @@ def test_what_cannot_be_varied_is_named() -> None:
         over_stiffness(bare, [1e3])
     with pytest.raises(BadArgument, match="stiffness"):
         over_stiffness(slider(), [-1.0])
-    twisted = np.array(mfc.robots.ur5().pose(Q)) @ np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-    surface = mfc.Environment(100.0, pose=twisted, axes="zrz", preload=[10.0, 1.0])
-    loop = mfc.ClosedLoop(mfc.robots.ur5(), arm().law, mfc.trajectories.Hold(Q), environment=surface)
-    with pytest.raises(Unsupported, match="rotation"):
-        over_stiffness(loop, [1e3])
+
+
+@pytest.mark.parametrize("hardware", [{}, {"delay": 1e-3, "force_filter": 2e-3}], ids=["lag", "lag, delay, filter"])
+def test_the_largest_stable_stiffness_is_that_of_the_bisection(hardware: dict[str, float]) -> None:
+    loop = slider(torque_lag=2e-3, **hardware)
+    found = stable_up_to(loop)
+    assert found == pytest.approx(float(mfc.design.max_stiffness(loop)), rel=1e-5)
+    assert with_stiffness(loop, 0.999 * found).linearize().stable[0]
+    assert not with_stiffness(loop, 1.001 * found).linearize().stable[0]
+    if not hardware:
+        assert found == pytest.approx((20.0 * 2 - 5.0) / (2e-3 * 2), rel=1e-6)
+
+
+def test_a_loop_without_a_limit_says_so_and_one_that_is_never_stable_too() -> None:
+    assert stable_up_to(slider()) == np.inf
+    assert np.isnan(stable_up_to(slider(kfi=50.0)))
