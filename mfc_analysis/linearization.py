@@ -270,6 +270,8 @@ class Linearization:
             f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {np.abs(self.residual).max(initial=0.0):.3g}"
         )
 
+    __repr__ = __str__
+
 
 def _only_a(lin: Linearization) -> OpenSystem:
     """The closed A alone, as a system without wires: enough for poles and stability without dead time."""

@@ -160,6 +160,8 @@ class Verdict:
         table = ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, wide, strict=True)).rstrip() for row in rows]
         return "\n".join([f"{self.status.value}: {self.loop}; margins at {self.at!r}; {when}", *table, *(f"  note: {note}" for note in self.notes)])
 
+    __repr__ = __str__
+
 
 @dataclass(frozen=True, kw_only=True)
 class Requirements:

@@ -52,6 +52,8 @@ class Validation:
         reach = "beyond 3" if np.isinf(self.radius) else f"{self.radius:.3g}"
         return f"Taylor order {self.taylor_order:.3f}; misfit {100 * self.nrmse:.3g} % at {self.size:g} rad; below 5 % up to {reach} rad"
 
+    __repr__ = __str__
+
 
 def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validation:
     """The comparison behind ``ClosedLoop.validate``. Raises BadArgument for a time or size that is not positive."""

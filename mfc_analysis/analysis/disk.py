@@ -104,6 +104,8 @@ class DiskMargin:
             f"{self.phase_deg[k]:.3g} deg\n  {self.bound.value}"
         )
 
+    __repr__ = __str__
+
 
 @dataclass(frozen=True, eq=False)
 class SingularValues:

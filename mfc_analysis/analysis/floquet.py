@@ -70,6 +70,8 @@ class Floquet:
             f"its multiplier {abs(worst):.6g} at {math.degrees(math.atan2(worst.imag, worst.real)):.1f} deg"
         )
 
+    __repr__ = __str__
+
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
@@ -96,6 +98,8 @@ class TransientGrowth:
 
     def __str__(self) -> str:
         return f"a disturbance grows at most {self.largest:.4g} times, at t = {self.time:.4g} s; at the end {self.singular[-1]:.4g} times"
+
+    __repr__ = __str__
 
 
 def gauss_nodes(edges: Array) -> Array:

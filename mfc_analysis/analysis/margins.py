@@ -143,6 +143,8 @@ class Margins:
             ]
         return "\n".join(lines)
 
+    __repr__ = __str__
+
 
 def margins(system: OpenSystem, at: str) -> Margins:
     """Margins of every channel of the analysis point ``at`` at every point, dead time included.

@@ -61,6 +61,8 @@ class Step:
             f"settling {self.settling:.4g} s ({100 * self.settling_band:g} %), overshoot {100 * self.overshoot:.3g} %"
         )
 
+    __repr__ = __str__
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
