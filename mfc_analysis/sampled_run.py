@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.equations import Equations, Inputs, Wires
+from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.dual import Dual, Vector, value
 from mfc_analysis.maths.expm import expm_integral
 
@@ -79,7 +80,11 @@ def run_with_dead_time(run: _Run, asked: Array, x0: Array) -> None:
         t = begin + NODES * (stop - begin)
         states = np.stack([run.path.at(float(ti)) for ti in t])
         recorded = Wires({name: np.stack([history[name].at(float(ti) - d) for ti in t]) for name, d in delays.items()})
-        e.flow(t, states, recorded, Inputs(), lose_contact=lose)
+        try:
+            e.flow(t, states, recorded, Inputs(), lose_contact=lose)
+        except MfcError as why:
+            run.refuse(stop, why)
+            return
         for name in delays:
             history[name].add(begin, stop - begin, np.array(np.broadcast_to(value(recorded.recorded[name]), (len(t), history[name].first.size))))
 
@@ -103,7 +108,12 @@ def run_sampled(run: _Run, asked: Array, x0: Array) -> None:
         s = e.split(x)
         read = e.split(run.path.at(max(t - force_delay, start))) if force_delay else s
         F = value(e.touch(read, lose_contact=lose).wrench)
-        action, rates = e.control(t, s, F, Wires(), Inputs())
+        e.plant.times = e.controller.times = np.asarray(t)  # for messages
+        try:
+            action, rates = e.control(t, s, F, Wires(), Inputs())
+        except MfcError as why:
+            run.refuse(t, why)
+            return
         sent.append(np.array(value(action.command)))
         own_next = x[own] + advance @ _own_rates(run, rates, own) if own.size else x[own]
         before, now = sent[max(k - whole - 1, 0)], sent[max(k - whole, 0)]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from mfc_analysis.equations import Equations, Inputs
+from mfc_analysis.equations import Equations, Flow, Inputs
 from mfc_analysis.errors import BadArgument, MfcError, MfcWarning
 from mfc_analysis.jacobians import closed_matrix
 from mfc_analysis.maths import checks
@@ -130,7 +130,7 @@ class _Run:
     events: list[Event]
     outcome: Outcome = Outcome.FINISHED
     message: str = Outcome.FINISHED.value
-    refused: tuple[float, MfcError] | None = None
+    refused: MfcError | None = None
     arrived: Callable[[float], Array] | None = None  #: with dead time or sampling: the command that has reached the joints
 
     def inputs(self, t: float) -> Inputs:
@@ -156,19 +156,14 @@ class _Run:
         if self.one_sided:
             options["max_step"] = CONTACT_STEP
 
-        def guarded(t: float, x: Array) -> Array:
-            try:
-                return rates(t, x)
-            except MfcError as why:
-                self.refused = (t, why)
-                raise _Stop from why
+        def solve(f: Callable[[float, Array], Array], options: dict[str, Any]) -> Any:
+            with np.errstate(all="ignore"):
+                return solve_ivp(f, (start, end), x, dense_output=True, events=[event for event, _ in watched], **options)
 
         try:
-            with np.errstate(over="ignore", invalid="ignore"):
-                found = solve_ivp(guarded, (start, end), x, dense_output=True, events=[f for f, _ in watched], **options)
-        except _Stop:
-            self._until_refused(guarded, start, x, options)
-            return None
+            found = solve(self._stopping(rates), options)
+        except _Stop:  # maybe only a step too far: again, by a method that shortens a step it cannot evaluate
+            found = solve(self._or_nan(rates), {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
         for (_, event), times in zip(watched[1:], found.t_events[1:], strict=True):
             self.events += [Event(float(t), *event) for t in times]
         self.path.add(float(found.t[-1]), found.sol)
@@ -176,22 +171,37 @@ class _Run:
             self.stop(Outcome.DIVERGED, float(found.t[-1]), f"position or velocity beyond {FAR:g}")
             return None
         if found.status < 0:
-            self.stop(Outcome.SOLVER, float(found.t[-1]), str(found.message))
+            if self.refused is not None:
+                self.stop(Outcome.REFUSED, float(found.t[-1]), str(self.refused))
+            else:
+                self.stop(Outcome.SOLVER, float(found.t[-1]), str(found.message))
             return None
+        self.refused = None
         return np.asarray(found.y[:, -1])
 
-    def _until_refused(self, rates: Callable[[float, Array], Array], start: float, x: Array, options: dict[str, Any]) -> None:
-        assert self.refused is not None
-        t, why = self.refused
-        last = start + 0.999 * (t - start)
-        if last - start > 1e-9:
+    def _stopping(self, rates: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
+        def guarded(t: float, x: Array) -> Array:
             try:
-                options = {name: options[name] for name in ("rtol", "atol")}
-                found = solve_ivp(rates, (start, last), x, dense_output=True, method="RK45", **options)
-                self.path.add(float(found.t[-1]), found.sol)
-            except _Stop:
-                last = start
-        self.stop(Outcome.REFUSED, last, str(why))
+                return rates(t, x)
+            except MfcError as why:
+                self.refused = why
+                raise _Stop from why
+
+        return guarded
+
+    def _or_nan(self, rates: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
+        def guarded(t: float, x: Array) -> Array:
+            try:
+                return rates(t, x)
+            except MfcError as why:
+                self.refused = why
+                return np.full(x.shape, np.nan)
+
+        return guarded
+
+    def refuse(self, t: float, why: MfcError) -> None:
+        """End the run where the law itself, between two segments, cannot be evaluated."""
+        self.stop(Outcome.REFUSED, t, str(why))
 
     def stop(self, outcome: Outcome, t: float, why: str) -> None:
         self.outcome, self.message = outcome, f"{outcome.value} at t = {t:.4g} s: {why}"
@@ -296,10 +306,8 @@ def _gathered(run: _Run, asked: Array) -> Simulation:
         t = np.append(t, end)
     x = np.stack([run.path.at(float(ti)) for ti in t])
     kept = np.isfinite(x).all(axis=1)
-    t, x = t[kept], x[kept]
-    disturbance = None if run.disturbance is None else np.stack([run.disturbance(float(ti)) for ti in t])
+    t, x, flow = _signals(run, t[kept], x[kept])
     s = e.split(x)
-    flow = e.flow(t, x, None, Inputs(disturbance=disturbance), lose_contact=run.one_sided)
     command = np.array(np.broadcast_to(value(flow.command), (len(t), e.n)))
     q = np.array(s["q"])
     v = np.array(s["v"]) if "v" in s else np.array(np.broadcast_to(value(flow.rates["q"]), q.shape))
@@ -311,6 +319,18 @@ def _gathered(run: _Run, asked: Array) -> Simulation:
         t, x, q, v, tau, command, np.array(value(flow.error)), twist, np.array(value(flow.F_tip)), events,
         run.outcome, run.message, e.state_names, run.path, run.arrived,
     )  # fmt: skip
+
+
+def _signals(run: _Run, t: Array, x: Array) -> tuple[Array, Array, Flow]:
+    """The signals along the run, without the last points where the law could not be evaluated any more."""
+    while True:
+        disturbance = None if run.disturbance is None else np.stack([run.disturbance(float(ti)) for ti in t])
+        try:
+            return t, x, run.equations.flow(t, x, None, Inputs(disturbance=disturbance), lose_contact=run.one_sided)
+        except MfcError:
+            if run.outcome is not Outcome.REFUSED or len(t) == 1:
+                raise
+            t, x = t[:-1], x[:-1]
 
 
 def start_state(
