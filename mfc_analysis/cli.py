@@ -74,7 +74,7 @@ def check(
     from mfc_analysis import study_check
 
     with terminal.progress("check") as advance:
-        checks = study_check.check(_study(study), advance)
+        checks = study_check.check(_study(study), advance, search=True)
     if json:
         terminal.say(study_check.as_json(checks))
     else:

@@ -97,6 +97,10 @@ class Study:
     loops: tuple[StudyLoop, ...]
     table: StudyTable
 
+    def files(self) -> tuple[Path, ...]:
+        """The study and the files that it names."""
+        return tuple(dict.fromkeys([self.file, *(path for one in self.loops for path in one.parts.files())]))
+
     @property
     def formats(self) -> tuple[str, ...]:
         """Formats of the report."""

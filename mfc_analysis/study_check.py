@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+from mfc_analysis.study_limits import limits
 
 if TYPE_CHECKING:
     from mfc_analysis.requirements import Line, Verdict
+    from mfc_analysis.searches import Limit
     from mfc_analysis.study import Study, StudyLoop
 
 COLUMNS = ("result", "requirement", "asked", "found", "where", "when", "case")
@@ -23,8 +26,10 @@ class LoopCheck:
 
     loop: StudyLoop
     lines: tuple[tuple[Line, str], ...]  #: line and case ("" where the study has no ranges), failures first
+    verdict: Verdict  #: of one case, for what is common to all
     notes: tuple[str, ...]
     cases: int
+    limits: tuple[Limit, ...] = ()  #: of the design wishes
 
     @property
     def status(self) -> str:
@@ -56,12 +61,17 @@ class LoopCheck:
                 where = "; ".join(part for part in (place, case, note) if part)
                 out.append(f"{status}: {self.loop.name}: {label}: found {found}, asked {asked}{f' ({where})' if where else ''}")
         out += [f"note: {note}" for note in self.notes]
+        out += [f"limit: {limit}" for limit in self.limits]
         return [*out, f"{self.status}: {self.loop.name}"]
 
 
-def check(study: Study, progress: Progress = lambda what, done, of: None) -> tuple[LoopCheck, ...]:
-    """Every loop of the study against its requirements, over its ranges. Raises MfcError where one cannot be judged."""
-    return tuple(_check(loop, progress) for loop in study.loops)
+def check(study: Study, progress: Progress = lambda what, done, of: None, *, search: bool = False) -> tuple[LoopCheck, ...]:
+    """Every loop of the study against its requirements, over its ranges; ``search``: its design wishes too.
+
+    Raises MfcError where a loop cannot be judged.
+    """
+    found = tuple(_check(loop, progress) for loop in study.loops)
+    return tuple(replace(one, limits=limits(one.loop, progress)) for one in found) if search else found
 
 
 def _check(one: StudyLoop, progress: Progress) -> LoopCheck:
@@ -81,7 +91,7 @@ def _check(one: StudyLoop, progress: Progress) -> LoopCheck:
                 worst[line.name] = (line, case_said)
     lines = sorted(worst.values(), key=lambda pair: pair[0].severity, reverse=True)
     notes = tuple(dict.fromkeys(note for _, verdict in found for note in verdict.notes))
-    return LoopCheck(one, tuple(lines), notes, len(found))
+    return LoopCheck(one, tuple(lines), found[0][1], notes, len(found))
 
 
 def as_json(checks: Sequence[LoopCheck]) -> str:
@@ -95,7 +105,8 @@ def as_json(checks: Sequence[LoopCheck]) -> str:
             }
             for line, case in one.lines
         ]  # fmt: skip
-        out.append({"loop": one.loop.name, "status": one.status, "cases": one.cases, "lines": lines, "notes": list(one.notes)})
+        limits = {limit.name: {"value": _number(float(limit)), "unit": limit.unit, "binds": limit.binds} for limit in one.limits}
+        out.append({"loop": one.loop.name, "status": one.status, "cases": one.cases, "lines": lines, "notes": list(one.notes), "limits": limits})
     return json.dumps(out, indent=2, ensure_ascii=False)
 
 

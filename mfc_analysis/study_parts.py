@@ -270,6 +270,11 @@ class Parts:
         with self._in("hardware"):
             return Hardware(**given) if given else None
 
+    def files(self) -> tuple[Path, ...]:
+        """The files that the tables name."""
+        named = [self.table.robot.urdf, self.table.controller_model and self.table.controller_model.urdf, getattr(self.table.reference, "file", None)]
+        return tuple(self.folder / name for name in named if name)
+
     # --- loops ---------------------------------------------------------------------------------------------------------
 
     def loop(self) -> ClosedLoop:

@@ -308,6 +308,7 @@ class DesignTable(Table):
     max_delay: bool = False
     max_payload: bool = False
     min_sample_rate: bool = False
+    max_bandwidth: bool = False  #: of law.gains, meeting the requirements over the ranges
 
 
 Format = Literal["html", "pdf", "json"]
@@ -318,7 +319,7 @@ class ReportTable(Table):
     """How the report is made."""
 
     name: str | None = None  #: of the files; default: the study's own
-    sections: list[Literal["verdict", "model", "poles", "margins", "path", "step", "validation", "robustness", "contact"]] | None = None
+    sections: list[Literal["loop", "margins", "poles", "path", "run", "validation", "pose"]] | None = None  #: default: all
     formats: list[Format] = Field(default_factory=lambda: list(FORMATS))
 
 

@@ -1,0 +1,128 @@
+"""The report of a study: the pages of its loops, and its ranges and design wishes as sections of their own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mfc_analysis.study_check import COLUMNS, LoopCheck
+from mfc_analysis.study_check import check as check_study
+from mfc_analysis.study_limits import limits
+
+if TYPE_CHECKING:
+    from mfc_analysis.report.section import Document, Section
+    from mfc_analysis.searches import Limit
+    from mfc_analysis.study import Study
+
+Progress = Callable[[str, int, int], None]
+
+#: sections of a loop that ``report.sections`` of a study may choose from, and the titles they have
+PAGES: dict[str, tuple[str, ...]] = {
+    "loop": ("The loop and its parameters",),
+    "margins": ("How far it is from instability",),
+    "poles": ("Poles",),
+    "path": ("Along the path",),
+    "run": ("A step, linear and nonlinear", "A nonlinear run"),
+    "validation": ("How far the linear model holds",),
+    "pose": ("Where the arm is",),
+}
+
+
+def report(study: Study, out: str | os.PathLike[str], formats: Sequence[str], progress: Progress) -> tuple[Path, ...]:
+    """Writes the report of a study into ``out``, and nothing outside of it; returns the files.
+
+    Args:
+        formats: some of "html", "pdf", "json"; none: those of the study. progress: called with (what, done, of).
+    """
+    from mfc_analysis.report import render
+
+    loops = study.loops
+    analysed: list[str] = []
+
+    def done(name: str) -> None:
+        analysed.append(name)
+        progress(f"analysing {name}", len(analysed), len(loops))
+
+    found = document(study, done, progress)
+    files = render(found, out, formats or study.formats, progress=lambda some, of: progress("writing", some, of))
+    return tuple(files.values())
+
+
+def document(study: Study, done: Callable[[str], None] | None = None, progress: Progress = lambda what, some, of: None) -> Document:
+    """The report of a study as values."""
+    from mfc_analysis.report.loop_report import loop_document
+
+    loops = study.loops
+    made = loop_document(
+        {one.name: one.loop for one in loops},
+        {one.name: one.times for one in loops},
+        {one.name: one.requirements for one in loops},
+        at={one.name: one.at for one in loops},
+        title=study.title,
+        name=study.name,
+        command=f"mfc-analysis report {study.file.name} --out out",
+        inputs={path.name: path.read_bytes() for path in study.files()},
+        done=done,
+    )
+    chosen = study.table.report.sections
+    sections = list(made.sections)
+    if chosen is not None:
+        kept = {title for key in chosen for title in PAGES[key]}
+        sections = [replace(s, sections=tuple(inner for inner in s.sections if inner.title in kept)) for s in sections]
+    if any(one.table.ranges.model_fields_set for one in loops):
+        sections += [ranges_section(found) for found in check_study(study, progress) if found.cases > 1]
+    for one in loops:
+        searched = limits(one, progress)
+        if searched:
+            sections.append(limits_section(one.name, searched, many=len(loops) > 1))
+    return replace(made, sections=tuple(sections), subtitle=study.text or made.subtitle)
+
+
+def ranges_section(found: LoopCheck) -> Section:
+    """The worst line of each requirement over the ranges, with the case it belongs to."""
+    from mfc_analysis.report.checks import checks
+    from mfc_analysis.report.section import Column, Section, Status, Table
+
+    worst, case = found.lines[0]
+    lines = tuple(replace(line, where=", ".join(part for part in (line.where, said) if part)) for line, said in found.lines)
+    columns = tuple(Column(name, numeric=False) for name in COLUMNS)
+    rows = tuple((Status(row[0]), *row[1:]) for row in found.rows())
+    ordered = (columns[1], columns[0], *columns[2:])  # the first column heads its row
+    table = Table(
+        f"The worst of {found.cases} cases for each requirement; the controller's model stays what it is.",
+        ordered,
+        tuple((row[1], row[0], *row[2:]) for row in rows),
+    )
+    finding = f"Of {found.cases} cases the worst is {case}: {worst.label} ({worst.place or 'everywhere'})."
+    numbers = {"cases": found.cases, "worst": {line.name: {"found": line.found, "case": said} for line, said in found.lines}}
+    shown = checks(replace(found.verdict, lines=lines))
+    return Section(f"{found.loop.name}: over the ranges", finding, (table,), shown, numbers, loop=f"{found.loop.name}, over its ranges")
+
+
+def limits_section(name: str, searched: Sequence[Limit], *, many: bool) -> Section:
+    """What was searched, what was found, and what is lost beyond."""
+    from mfc_analysis.report.section import Column, Number, Section, Table
+
+    columns = (Column("Limit", numeric=False), Column("Value"), Column("What binds", numeric=False), Column("Loops judged"))
+    rows = tuple(
+        (limit.name, Number(float(limit), limit.unit, digits=5), "; ".join([limit.binds or limit.outcome.value, *limit.notes]), limit.evaluations)
+        for limit in searched
+    )
+    first = searched[0]
+    finding = f"{first.name[:1].upper()}{first.name[1:]}: {Number(float(first), first.unit, digits=4)}."
+    title = f"{name}: how far it may go" if many else "How far it may go"
+    numbers = {limit.name: {"value": float(limit), "unit": limit.unit, "evaluations": limit.evaluations} for limit in searched}
+    return Section(title, finding, (Table("Limits by bisection on exact stability or on the requirements.", columns, rows),), numbers=numbers)
+
+
+def chapter(out: str | os.PathLike[str], formats: Sequence[str], progress: Progress) -> tuple[Path, ...]:
+    """Writes the report of the whole chapter into ``out``."""
+    from mfc_analysis.report import chapter as pages
+    from mfc_analysis.report import render
+
+    found = pages.chapter_document(progress=lambda some, of: progress("analysing", some, of))
+    files = render(found, out, formats or ("html", "pdf", "json"), progress=lambda some, of: progress("writing", some, of))
+    return tuple(files.values())
