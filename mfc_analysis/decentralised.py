@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.equations import Equations
 from mfc_analysis.errors import Unsupported
 from mfc_analysis.jacobians import open_system
 from mfc_analysis.maths.dual import Dual
 from mfc_analysis.operating_point import OperatingPoint
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.margins import Margins
 
 Array = NDArray[np.float64]
 
@@ -26,6 +30,7 @@ class Decentralised:
     A: Array  #: (m, n, k, k)
     b: Array  #: (m, n, k) column of the joint's torque (velocity) command
     c: Array  #: (m, n, k) row of the command: command = c x
+    integrals: tuple[int, ...] = ()  #: which of the k states are integrals of the law
 
     def poles(self) -> NDArray[np.complex128]:
         """(m, n, k) closed-loop poles [1/s] of each joint alone, slowest first."""
@@ -38,6 +43,21 @@ class Decentralised:
         poles = self.poles()
         return np.asarray(np.all(poles.real < -1e-10 * np.abs(poles), axis=-1))
 
+    def margins(self) -> Margins:
+        """Margins (m, n) of each joint's own loop at its torque (velocity) command; dead time left out. NaN where that joint alone is unstable."""
+        from mfc_analysis.analysis.margins import margins
+
+        m, n, k = self.b.shape
+        b, c = self.b.reshape(m * n, k, 1), self.c.reshape(m * n, 1, k)
+        alone = OpenSystem(
+            times=np.arange(m * n, dtype=float), A=self.A.reshape(m * n, k, k) - b @ c, B=b, C=c, D=np.zeros((m * n, 1, 1)), state_names=tuple(map(str, range(k))),
+            input_names=(), output_names=(), wires={"torque": slice(0, 1)}, wire_names=("joint",), wire_delay=np.zeros(1), points=("torque",), integrals=self.integrals,
+        )  # fmt: skip
+        found = margins(alone, "torque")
+        per_joint = {f.name: getattr(found, f.name).reshape(m, n) for f in fields(found) if f.name not in ("times", "at", "channels")}
+        whole = {name: per_joint.pop(name) for name in ("stable", "drifts")}
+        return replace(found, times=self.times, channels=self.joints, stable=whole["stable"].all(axis=1), drifts=whole["drifts"].any(axis=1), **per_joint)
+
 
 def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
     """The loop joint by joint. Raises Unsupported for tool and force laws, sampled loops, and an n x n outer loop."""
@@ -46,11 +66,13 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
         raise Unsupported("decentralised", type(law).__name__, "a joint-space law in continuous time: a loop for each joint")
     system = open_system(equations, point.times, point.x)
     m = len(point.times)
-    picks = []
+    picks, integrals = [], []
     for where, slot in equations.parts.values():
         size = where.stop - where.start
         if size % n or (slot.name == "outer" and law.system[3].shape != (1, 1)):  # type: ignore[attr-defined]
             raise Unsupported("decentralised", type(law).__name__, "an outer loop that is the same for each joint")
+        if slot.integral:
+            integrals += range(sum(p.shape[1] for p in picks), sum(p.shape[1] for p in picks) + size // n)
         picks.append(where.start + np.arange(size).reshape(n, -1))
     index = np.concatenate(picks, axis=1)  # (n, k) the states of each joint
     wire = system.wires[equations.actuator]
@@ -83,4 +105,4 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
             A[:, :, 1, -1] += 1 / M
         else:
             b[:, :, 1] = 1 / M
-    return Decentralised(point.times, equations.robot.joint_names, A + b[..., :, None] * c[..., None, :], b, c)
+    return Decentralised(point.times, equations.robot.joint_names, A + b[..., :, None] * c[..., None, :], b, c, tuple(integrals))
