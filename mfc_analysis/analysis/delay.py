@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mfc_analysis.analysis.poles import inside, poles, spectrum
 from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.analysis.zero_roots import without_zero_roots
+from mfc_analysis.analysis.zero_roots import without_decoupled_zeros
 from mfc_analysis.errors import BadArgument, Unsupported
 
 Array = NDArray[np.float64]
@@ -38,7 +38,8 @@ class Delayed:
     C: Array  #: (nd, nx)
     D: Array  #: (nd, nd)
     T: Array  #: (nd,) [s] > 0
-    zeros: int  #: roots at zero
+    zeros: int  #: roots at zero that the delayed wires drive and see
+    apart: int = 0  #: other roots at zero, already taken out
 
 
 def delayed_points(system: OpenSystem) -> list[Delayed]:
@@ -47,7 +48,14 @@ def delayed_points(system: OpenSystem) -> list[Delayed]:
     A, B, C, D = close_wires(system, keep=late)
     nu, ny = system.nu, system.ny
     zeros = spectrum(system).roots.count
-    return [Delayed(A[i], B[i][:, nu:], C[i][ny:], D[i][ny:, nu:], system.wire_delay[late], int(zeros[i])) for i in range(len(A))]
+    points = []
+    for i in range(len(A)):
+        a, b, c, left = A[i], B[i][:, nu:], C[i][ny:], int(zeros[i])
+        if left:
+            a, b, c = without_decoupled_zeros(a, b, c)
+            left = max(0, left - (system.nx - len(a)))
+        points.append(Delayed(a, b, c, D[i][ny:, nu:], system.wire_delay[late], left, int(zeros[i]) - left))
+    return points
 
 
 def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
@@ -67,8 +75,8 @@ def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
         out[:, : order.shape[1]] = np.take_along_axis(found, order, 1)
         return out
     for i, point in enumerate(delayed_points(system)):
-        roots = rightmost(point, max(0, count - point.zeros))
-        roots = _ordered(np.concatenate([np.zeros(point.zeros), roots]))[:count]
+        zeros = point.zeros + point.apart
+        roots = _ordered(np.concatenate([np.zeros(zeros), rightmost(point, max(0, count - zeros))]))[:count]
         out[i, : roots.size] = roots
     return out
 
@@ -88,25 +96,33 @@ def delay_stable(system: OpenSystem) -> NDArray[np.bool_]:
 def rightmost(point: Delayed, count: int) -> Complex:
     """At least ``count`` rightmost roots that are not at zero, if there are so many; rightmost first."""
     reach = _reach(point)
-    more = 0
+    if not reach:  # no dead time is inside a loop
+        roots = np.linalg.eigvals(point.A).astype(np.complex128)
+        return _ordered(roots[np.argsort(np.abs(roots), kind="stable")[point.zeros :]])[: max(count, 2)]
+    more, found_before = 0, -1
     for _ in range(6):
         nodes = np.minimum(np.ceil(0.6 * reach * point.T) + 14 + more, MOST_NODES).astype(int)
         found = _collocated(point, nodes)
-        good, spoilt = _polished(point, found[: 2 * count + 10])
-        if spoilt >= count or nodes.max() >= MOST_NODES or spoilt == found.size:
+        good, sure = _polished(point, found[: 2 * count + 10])
+        if sure >= count or nodes.max() >= MOST_NODES or (more > 40 and sure <= found_before):
             break
-        more = 2 * more + 12
+        more, found_before = 2 * more + 12, sure
     return _ordered(good)[: max(count, 2)]
 
 
 def _reach(point: Delayed) -> float:
-    """[rad/s] above which no delayed wire can sustain anything: the Perron root of |G(jw)| stays below one."""
+    """[rad/s] above which no delayed wire can sustain anything: the Perron root of |G(jw)| stays below one. 0: there is no loop."""
+    if not len(point.A) and not point.D.any():
+        return 0.0
     size = np.abs(np.linalg.eigvals(point.A + point.B @ np.linalg.solve(np.eye(len(point.T)) - point.D, point.C)))
     size = np.concatenate([size, np.abs(np.linalg.eigvals(point.A)), 1 / point.T])
     top = size.max()
     w = np.geomspace(max(size[size > 0].min(), 1e-3 * top) * 0.3, 1e3 * top, 120)
     G = point.C @ np.linalg.solve(1j * w[:, None, None] * np.eye(len(point.A)) - point.A, point.B.astype(complex)) + point.D
-    alive = np.flatnonzero(np.abs(np.linalg.eigvals(np.abs(G))).max(axis=1) >= 0.7)
+    strength = np.abs(np.linalg.eigvals(np.abs(G))).max(axis=1)
+    if strength.max() < 1e-12 * max(1.0, float(np.abs(G).max())):
+        return 0.0
+    alive = np.flatnonzero(strength >= 0.7)
     return float(w[min(alive[-1] + 1, w.size - 1)]) if alive.size else float(w[0])
 
 
@@ -137,9 +153,8 @@ def _collocated(point: Delayed, nodes: NDArray[np.int64]) -> Complex:
         big[rows, rows] = d[1:, 1:]
         big[rows, :nx] = np.outer(d[1:, 0], point.C[j])
         big[rows, arrives] += np.outer(d[1:, 0], point.D[j])
-    if point.zeros:
-        big = without_zero_roots(big, np.zeros((len(big), 0)), np.zeros((0, len(big)))).A
-    return _ordered(np.linalg.eigvals(big).astype(np.complex128))
+    roots = np.linalg.eigvals(big).astype(np.complex128)
+    return _ordered(roots[np.argsort(np.abs(roots), kind="stable")[point.zeros :]])
 
 
 def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:

@@ -21,7 +21,7 @@ from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_w
 from mfc_analysis.analysis.crossings import Crossings
 from mfc_analysis.analysis.delay import Delayed, delayed_points, rightmost
 from mfc_analysis.analysis.margins import Figures, assembled, dc_sensitivity
-from mfc_analysis.analysis.peak import frequencies_of_interest
+from mfc_analysis.analysis.peak import frequencies_of_interest, thinned
 from mfc_analysis.analysis.poles import Spectrum
 from mfc_analysis.analysis.resolvent import CONDITION
 from mfc_analysis.analysis.system import OpenSystem
@@ -49,15 +49,30 @@ class _Point:
 
     def H(self, w: Array) -> Complex:
         """S_i - 1 of all channels, (n, k), at w (k,) [rad/s]."""
-        W = self._W(w)
-        k, n = len(self.T), self.rows.size
-        E = np.exp(-1j * w[:, None] * self.T)[:, :, None]
-        inject = np.zeros((w.size, k, n), np.complex128)
+        W, matrix = self._loop(w)
+        n = self.rows.size
+        inject = np.zeros((w.size, len(self.T), n), np.complex128)
         inject[:, self.rows, np.arange(n)] = 1
         if self.rates is not None:
             inject[:, self.rates, np.arange(n)] = 1j * w[:, None]
-        X = np.linalg.solve((1 - E) * W + E * np.eye(k), inject)
+        X = np.linalg.solve(matrix, inject)
         return np.asarray(np.einsum("wnk,wkn->nw", W[:, self.rows], X) - 1)
+
+    def one(self, channel: Ints, w: Array) -> Complex:
+        """S_i - 1 (k,) of one channel (k,) each at w (k,) [rad/s]."""
+        W, matrix = self._loop(w)
+        each = np.arange(w.size)
+        inject = np.zeros((w.size, len(self.T), 1), np.complex128)
+        inject[each, self.rows[channel], 0] = 1
+        if self.rates is not None:
+            inject[each, self.rates[channel], 0] = 1j * w
+        X = np.linalg.solve(matrix, inject)
+        return np.asarray((W[each, self.rows[channel]] * X[:, :, 0]).sum(axis=1) - 1)
+
+    def _loop(self, w: Array) -> tuple[Complex, Complex]:
+        W = self._W(w)
+        E = np.exp(-1j * w[:, None] * self.T)[:, :, None]
+        return W, (1 - E) * W + E * np.eye(len(self.T))
 
     def _W(self, w: Array) -> Complex:
         if self.modes is not None:
@@ -106,7 +121,7 @@ def _figures(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: C
     opened = [np.linalg.eigvals(ch.A[0] - np.outer(ch.B[0][:, i], ch.C[0][i]) / (1 + ch.H0[0, i])) for i in range(ch.H0.shape[1])]
     places = np.concatenate([poles, roots, *opened]).astype(np.complex128)
     places = places[np.abs(places) > 1e-9 * np.abs(places).max()]
-    w = frequencies_of_interest(places[None])[0]
+    w = thinned(frequencies_of_interest(places[None]), places[None])[0]
     high = max(float(w[-1]), 3 * np.pi / float(cut.T.min()))
     low_end, searched = 0.0, w
     gain: list[tuple[Ints, Array, Complex]] = []
@@ -116,8 +131,8 @@ def _figures(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: C
         piece = _resolved(searched, low_end, high, float(cut.T.max()))
         H = point.H(piece)
         piece, H = _refined(point, piece, H)
-        gain.append(_brackets(point, piece, H, gain=True))
-        phase.append(_brackets(point, piece, H, gain=False))
+        gain.append(_crossings(point, piece, H, gain=True))
+        phase.append(_crossings(point, piece, H, gain=False))
         peaks = _peaks(point, piece, H, *peaks)
         figures = assembled(_joined(gain), _joined(phase), at_zero, ch.H0, lambda x: x)
         further = _needed(point, high, figures["gain_increase"][0])
@@ -136,7 +151,7 @@ def _resolved(w: Array, low: float, high: float, longest: float) -> Array:
     count = int(min(MOST, np.ceil((high - low) * longest / TURN) + 2))
     even = np.linspace(low, high, count)
     start = max(low, float(w[w > 0].min()))
-    spread = np.geomspace(start, high, max(2, int(60 * np.log10(high / start)) + 2)) if high > start else np.array([high])
+    spread = np.geomspace(start, high, max(2, int(30 * np.log10(high / start)) + 2)) if high > start else np.array([high])
     every = np.unique(np.concatenate([w[(w >= low) & (w <= high)], even, spread]))
     return np.asarray(every[every > 0])
 
@@ -161,27 +176,26 @@ def _refined(point: _Point, w: Array, H: Complex) -> tuple[Array, Complex]:
     return w, H
 
 
-def _brackets(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, Array, Complex]:
-    """Channels, frequencies and H of all sign changes of Re H + 1/2 (``gain``) or Im H, by the Illinois rule."""
+def _crossings(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, Array, Complex]:
+    """Channels, frequencies and H of the sign changes of Re H + 1/2 (``gain``) or Im H, by the Illinois rule."""
     f = H.real + 0.5 if gain else H.imag
-    channel, k = np.nonzero((f[:, :-1] >= 0) != (f[:, 1:] >= 0))  # a zero exactly on one of them counts once
+    changes = (f[:, :-1] >= 0) != (f[:, 1:] >= 0)  # a zero exactly on one of them counts once
+    channel, k = np.nonzero(changes)
     a, b, fa, fb = w[k], w[k + 1], f[channel, k], f[channel, k + 1]
-    x, hx = a, H[channel, k]
-    for _ in range(40):
-        if not channel.size:
+    x, hx = a.copy(), H[channel, k]
+    todo = np.arange(channel.size)
+    for _ in range(60):
+        if not todo.size:
             break
-        x = (a * fb - b * fa) / (fb - fa)
-        x = np.where((x >= a) & (x <= b), x, (a + b) / 2)
-        hx = point.H(x)[channel, np.arange(x.size)]
-        fx = hx.real + 0.5 if gain else hx.imag
-        if (np.abs(fx) <= 1e-14 * (1 + np.abs(hx))).all() or ((b - a) <= 4e-16 * b).all():
-            break
-        right = fx * fb > 0
-        fa, fb = np.where(right, fa / 2, fx), np.where(right, fx, fb / 2)
-        a, b = np.where(right, a, x), np.where(right, x, b)
-        swapped = fx == 0
-        a, b = np.where(swapped, x, a), np.where(swapped, x, b)
-        fa, fb = np.where(swapped, -1.0, fa), np.where(swapped, 1.0, fb)
+        try_ = (a[todo] * fb[todo] - b[todo] * fa[todo]) / (fb[todo] - fa[todo])
+        x[todo] = np.where((try_ >= a[todo]) & (try_ <= b[todo]), try_, (a[todo] + b[todo]) / 2)
+        hx[todo] = point.one(channel[todo], x[todo])
+        fx = hx[todo].real + 0.5 if gain else hx[todo].imag
+        right = (fx >= 0) == (fb[todo] >= 0)
+        fa[todo], fb[todo] = np.where(right, fa[todo] / 2, fx), np.where(right, fx, fb[todo] / 2)
+        a[todo], b[todo] = np.where(right, a[todo], x[todo]), np.where(right, x[todo], b[todo])
+        found = (np.abs(fx) <= 1e-13 * np.abs(hx[todo])) | (b[todo] - a[todo] <= 1e-13 * b[todo])
+        todo = todo[~found]
     return channel, x, hx
 
 
@@ -194,12 +208,12 @@ def _peaks(point: _Point, w: Array, H: Complex, peak: Array, where: Array) -> tu
     k = k.ravel()
     a, b = w[np.maximum(k - 1, 0)], w[np.minimum(k + 1, w.size - 1)]
     best, at = size[channel, k], w[k]
-    worth = best > 0.5 * np.maximum(peak, size.max(axis=1))[channel]
+    worth = (best > 0.7 * np.maximum(peak, size.max(axis=1))[channel]) & (k > 0) & (k < w.size - 1)
     channel, a, b, best, at = channel[worth], a[worth], b[worth], best[worth], at[worth]
     inner = np.linspace(0, 1, 9)
     for _ in range(7):
         x = a[:, None] + (b - a)[:, None] * inner
-        found = np.abs(1 + point.H(x.ravel())).reshape(len(H), *x.shape)[channel, np.arange(channel.size)]
+        found = np.abs(1 + point.one(np.repeat(channel, inner.size), x.ravel())).reshape(x.shape)
         top = found.argmax(axis=1)
         rows = np.arange(channel.size)
         better = found[rows, top] > best
@@ -219,7 +233,7 @@ def _joined(parts: list[tuple[Ints, Array, Complex]]) -> Crossings:
 
 def _needed(point: _Point, high: float, increase: Array) -> float:
     """[rad/s] up to which a crossing could still bind: |L| >= 1, or a gain below the increase found so far."""
-    w = np.geomspace(high, 64 * high, 400)
+    w = np.geomspace(high, 64 * high, 100)
     H = point.H(w)
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(H / (1 + H))

@@ -46,19 +46,25 @@ def equilibrated(A: Array) -> tuple[Array, Array, Array]:
 
     Rounding is cleared first. Rows and columns of zeros stay, with r c = 1. ``sqrt(r / c)`` balances the states.
     """
+    E, r, c = _scaled(A)
+    some_row, some_column = E.any(axis=-1), E.any(axis=-2)
+    r = np.where(some_row, r, 1 / c)
+    c = np.where(some_column, c, 1 / r)
+    return E, r, c
+
+
+def _scaled(A: Array) -> tuple[Array, Array, Array]:
+    """``equilibrated`` of any (..., p, q); rows and columns of zeros keep the scale one."""
     size = np.abs(A)
     size = np.where(size < ROUNDED * size.max(axis=-1, keepdims=True), 0.0, size)
-    cleared = np.where(size > 0, A, 0.0)
     some_row, some_column = (size > 0).any(axis=-1), (size > 0).any(axis=-2)
-    r, c = np.ones(A.shape[:-1]), np.ones(A.shape[:-1])
+    r, c = np.ones(A.shape[:-1]), np.ones((*A.shape[:-2], A.shape[-1]))
     for _ in range(8):
         now = size * r[..., :, None] * c[..., None, :]
         rows, columns = now.max(axis=-1), now.max(axis=-2)
         r = r / np.sqrt(np.where(some_row, rows, 1.0))
         c = c / np.sqrt(np.where(some_column, columns, 1.0))
-    r = np.where(some_row, r, 1 / c)
-    c = np.where(some_column, c, 1 / r)
-    return cleared * r[..., :, None] * c[..., None, :], r, c
+    return np.where(size > 0, A, 0.0) * r[..., :, None] * c[..., None, :], r, c
 
 
 def surely_regular(A: Array) -> NDArray[np.bool_]:
@@ -114,6 +120,34 @@ def nonzero_roots(A: Array, count: int) -> NDArray[np.complex128]:
     found = np.linalg.eigvals(without_zero_roots(A, np.zeros((len(A), 0)), np.zeros((0, len(A))), count).A)
     assert found.size == len(A) - count
     return np.asarray(found, np.complex128)
+
+
+def without_decoupled_zeros(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """A (nx, nx), B (nx, p), C (q, nx) without the roots at zero that C doesn't see or B doesn't drive, whole chains of them.
+
+    C (sI - A)^-1 B stays what it is, and so does every loop closed around it.
+    """
+    scale, A = _balanced(A)
+    B, C = B / scale[:, None], C * scale
+    while len(A):
+        unseen = _null_columns(np.vstack([A, C]))
+        if unseen.shape[1]:
+            rest = _complement(unseen)
+        else:
+            undriven = _null_columns(np.vstack([A.T, B.T]))
+            if not undriven.shape[1]:
+                break
+            rest = _complement(undriven)
+        A, B, C = _restricted(A, rest), rest.T @ B, C @ rest
+    return A, B, C
+
+
+def _null_columns(A: Array) -> Array:
+    """Orthonormal null space (q, k) of A (p, q), p >= q."""
+    E, _, c = _scaled(A)
+    _, s, vt = np.linalg.svd(E, full_matrices=False)
+    k = int(np.count_nonzero(s < RANK))
+    return np.linalg.qr(c[:, None] * vt[len(vt) - k :].T)[0]
 
 
 def _balanced(A: Array) -> tuple[Array, Array]:
