@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 STEPS = 200
 MISFIT = 0.05  #: nrmse up to which the linear model is said to hold
+ROUNDED = 10.0  #: times the solver's relative tolerance: what two runs of a linear loop differ by (measured: up to 2)
 LARGEST = 3.0  #: [rad, m] largest disturbance tried
 
 
@@ -87,7 +88,7 @@ def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validatio
     sizes = size * np.array([1.0, 0.5, 0.25])
     pairs = [compare(s) for s in sizes]
     remainders = np.array([np.nan if p is None else float(np.abs(p[0] - p[1]).max()) for p in pairs])
-    order = _order(sizes, remainders)
+    order = _order(sizes, remainders, 1e-8 * sizes + ROUNDED * TIGHT["rtol"] * float(np.abs(base.x[:, q]).max()))
     here = pairs[0]
     if here is None:
         return _nothing(time, size, loop.robot.n, stopped[0] if stopped else "the disturbed run stopped")
@@ -117,10 +118,10 @@ def _predict(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> 
     return accumulated(transitions_along(loop, base, t)) @ direction
 
 
-def _order(sizes: Array, remainders: Array) -> float:
+def _order(sizes: Array, remainders: Array, floor: Array) -> float:
+    """Slope of the remainder; inf where there is none above ``floor``, what the solver leaves of a linear loop."""
     if not np.isfinite(remainders).all():
         return float("nan")
-    floor = 1e-8 * sizes
     if np.all(remainders <= floor):
         return float("inf")
     return float(np.log2(remainders[0] / remainders[1] if remainders[2] <= 3 * floor[2] else remainders[1] / remainders[2]))

@@ -140,3 +140,11 @@ def test_observers_are_told_of_passed_and_failed_assertions_only_while_they_watc
 def test_the_assertions_need_no_pytest():
     code = "import sys; sys.modules['pytest'] = None; import mfc_analysis.testing"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize("q", [0.0, 0.3, 3.0])
+def test_a_linear_loop_is_validated_whatever_rounding_its_runs_leave(q):
+    """The solver's rounding grows with the position: it was taken for a remainder, and the order came out below 1."""
+    loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.VelocityP(5.0), hold(q=q))
+    assert loop.validate(0.5).taylor_order == math.inf
+    assert_validated(loop, 0.5)
