@@ -1,0 +1,128 @@
+"""pytest's hooks: ``pytest --mfc-report=DIR`` collects every loop that the tests assert on into one verification report.
+
+Only hooks: assertions are in ``testing``, the report in ``verification``; both load where the option is given. Under xdist each
+worker hands its records over when it ends, and the controller writes.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Generator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from mfc_analysis.testing import Asserted
+    from mfc_analysis.verification import Record
+
+KEY = "mfc_records"  #: of xdist's ``workeroutput``
+FORMATS = "html,pdf,json"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """The options ``--mfc-report`` and ``--mfc-report-formats``."""
+    group = parser.getgroup("mfc-analysis")
+    group.addoption("--mfc-report", metavar="DIR", default=None, help="write a verification report of every loop asserted in this run into DIR")
+    group.addoption("--mfc-report-formats", metavar="LIST", default=FORMATS, help=f"some of {FORMATS} (default: all)")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Registers the collector where a report is asked for. A wrong folder or format ends the run before it begins."""
+    folder = config.getoption("--mfc-report")
+    if folder is None:
+        return
+    formats = tuple(config.getoption("--mfc-report-formats").replace(" ", "").split(","))
+    if not folder or Path(folder).is_file():
+        raise pytest.UsageError(f"--mfc-report={folder!r}: takes a folder to write into")
+    unknown = [f for f in formats if f not in FORMATS.split(",")]
+    if unknown:
+        raise pytest.UsageError(f"--mfc-report-formats: got {unknown[0]!r}; takes some of {FORMATS}")
+    config.pluginmanager.register(Collector(config, Path(folder), formats), "mfc-analysis-collector")
+
+
+class Collector:
+    """Everything the plugin knows during a run."""
+
+    def __init__(self, config: pytest.Config, folder: Path, formats: tuple[str, ...]) -> None:
+        self.config, self.formats = config, formats
+        self.folder = config.invocation_params.dir / folder
+        self.worker = hasattr(config, "workerinput")
+        self.records: list[Record] = []
+        self.outcomes: dict[str, str] = {}
+        self.lost: list[str] = []
+        self.written: dict[str, Path] = {}
+        self.test = ""
+        self.stack = ExitStack()
+
+    # --- while tests run -----------------------------------------------------------------------------------------
+
+    def pytest_sessionstart(self) -> None:
+        """Starts to watch assertions."""
+        from mfc_analysis.testing import observed
+
+        self.stack.enter_context(observed(self.add))
+
+    def add(self, asserted: Asserted) -> None:
+        """Records one assertion."""
+        from mfc_analysis.verification import record
+
+        number = sum(r.test == self.test for r in self.records)
+        self.records.append(record(asserted, self.test, number))
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, Any, Any]:
+        """Knows which test is running; one that is run again starts anew."""
+        self.test = item.nodeid
+        self.records = [r for r in self.records if r.test != self.test]
+        try:
+            return (yield)
+        finally:
+            self.test = ""
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """What came of each test; a failure of any phase counts. On xdist's controller these come from the workers."""
+        if report.when == "call" or report.outcome != "passed":
+            expected = report.outcome == "skipped" and hasattr(report, "wasxfail")
+            self.outcomes[report.nodeid] = "passed" if expected else report.outcome
+
+    # --- at the end ----------------------------------------------------------------------------------------------
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any, error: object) -> None:
+        """xdist: takes over what a worker recorded; one that crashed took it along."""
+        content = getattr(node, "workeroutput", {}).get(KEY)
+        if content is None:
+            self.lost.append(f"worker {node.gateway.id}")
+        else:
+            self.records += pickle.loads(content)
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_sessionfinish(self) -> None:
+        """A worker hands over its records; everyone else writes the report."""
+        self.stack.close()
+        if self.worker:
+            self.config.workeroutput[KEY] = pickle.dumps(self.records)  # type: ignore[attr-defined]
+        elif self.records or self.lost:
+            from mfc_analysis.report import render
+            from mfc_analysis.verification import verification_document, with_outcomes
+
+            document = verification_document(with_outcomes(self.records, self.outcomes), self.lost, "pytest --mfc-report=DIR")
+            self.written = render(document, self.folder, self.formats)
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        """Says what was written, and where."""
+        if self.worker:
+            return
+        terminalreporter.section("mfc-analysis")
+        for name in self.lost:
+            terminalreporter.write_line(f"{name} ended without handing over its assertions: the report is not complete")
+        if not self.written:
+            terminalreporter.write_line("no assertion of mfc_analysis.testing was made: no report was written")
+            return
+        failed = sum(not r.passed for r in self.records)
+        terminalreporter.write_line(f"verification report of {len(self.records)} assertions, {failed} failed:")
+        for path in self.written.values():
+            terminalreporter.write_line(f"  {path}")
