@@ -45,7 +45,7 @@ class StudyError(MfcError, ValueError):
 class Case:
     """A loop with some quantities of its plant changed, as the ranges of a study ask for."""
 
-    values: Mapping[str, float]  #: quantity -> value [SI], in the order of the file
+    values: Mapping[str, float]  #: quantity -> value [SI]
     loop: ClosedLoop
 
     def __str__(self) -> str:
@@ -77,7 +77,7 @@ class StudyLoop:
 
     def cases(self) -> Iterator[Case]:
         """Every combination of the ranges, the controller's model as it is. Nothing where the study has no ranges."""
-        spans = {name: getattr(self.table.ranges, name).points() for name in self.table.ranges.model_fields_set}
+        spans = {name: span.points() for name, span in self.table.ranges.given().items()}
         if not spans:
             return
         for combination in itertools.product(*spans.values()):
@@ -135,7 +135,7 @@ def read(path: str | os.PathLike[str]) -> Study:
     for i, (name, table) in enumerate(zip(names, checked, strict=True)):
         _check_cases(str(path), table)
         parts = Parts(table, file.parent, str(path), f"loop[{i}]" if tables else "")
-        loops.append(StudyLoop(name, parts.loop(), parts.times(), table.at, table, parts))
+        loops.append(StudyLoop(name, parts.loop(), parts.times(), parts.at(), table, parts))
     first = checked[0]
     title = first.title or file.stem
     return Study(title, first.report.name or file.stem, first.text or "", file, hashlib.sha256(content).hexdigest(), tuple(loops), first)
@@ -158,8 +158,8 @@ def _names(tables: Sequence[StudyTable], given: Sequence[Mapping[str, Any]]) -> 
 
 def _check_cases(file: str, table: LoopTable) -> None:
     count = 1
-    for name in table.ranges.model_fields_set:
-        count *= len(getattr(table.ranges, name).points())
+    for span in table.ranges.given().values():
+        count *= len(span.points())
     if count > MOST_CASES:
         raise StudyError(file, "ranges", f"{count} combinations; takes up to {MOST_CASES}")
 

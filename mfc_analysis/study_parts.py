@@ -58,8 +58,10 @@ class Parts:
         except StudyError:
             raise
         except BadArgument as why:
-            place = ".".join(part for part in (self.prefix, key, _argument(why, key)) if part)
-            raise StudyError(self.file, place, str(why).removeprefix(f"{why.argument}: "), getattr(why, "known", ())) from why
+            argument = _argument(why, key)
+            place = ".".join(part for part in (self.prefix, key, argument) if part)
+            said = str(why).removeprefix(f"{why.argument}: ") if argument or why.argument == key else str(why)
+            raise StudyError(self.file, place, said, getattr(why, "known", ())) from why
         except MfcError as why:
             raise StudyError(self.file, ".".join(part for part in (self.prefix, key) if part), str(why)) from why
 
@@ -217,8 +219,8 @@ class Parts:
             for key in given:
                 if key not in takes:
                     place = ".".join(part for part in (self.prefix, "law", key) if part)
-                    law = f"{kind.__name__} (eq. {kind.equation})"
-                    raise StudyError(self.file, place, f"{law} has no such key; allowed: {', '.join(takes)}", takes)
+                    said = f"{kind.__name__} (eq. {kind.equation})"
+                    raise StudyError(self.file, place, f"{said} has no such key; allowed: {', '.join(takes)}", takes)
             if table.outer is not None:
                 given["outer"] = _outer(table.outer)
             if table.constraints is not None:
@@ -226,7 +228,16 @@ class Parts:
             for f in fields(kind):  # type: ignore[arg-type]
                 if f.init and f.name not in given and _is_required(kind, f.name):
                     raise BadArgument(f.name, None, f"a value: {kind.__name__} (eq. {kind.equation}) needs it")
-            return kind(**given)
+            law: Law = kind(**given)
+            law.check(self.robot.n)
+            return law
+
+    def at(self) -> str | None:
+        """The analysis point asked for. Raises StudyError where the law does not have it."""
+        if self.table.at is not None:
+            with self._in(""):
+                checks.choice("at", self.table.at, self.law.opens_at)
+        return self.table.at
 
     def _gains(self, table: GainsTable) -> Mapping[str, Any]:
         from mfc_analysis import gains

@@ -71,8 +71,8 @@ class Table(BaseModel):
         return self
 
     def given(self) -> dict[str, Any]:
-        """The keys that the file has, with their values."""
-        return {key: getattr(self, key) for key in self.model_fields_set}
+        """The keys that the file has, with their values, in the schema's order."""
+        return {key: getattr(self, key) for key in type(self).model_fields if key in self.model_fields_set}
 
     def si(self, key: str) -> Any:
         """The value of a key in SI and radians, whichever unit it was given in; None where it was not given."""
