@@ -53,8 +53,8 @@ def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossi
     between them by ``exclusion``, which is cheaper than their eigenvalue problem; that one serves where exclusion gives up.
     """
     left = np.ones(found.ch.H0.shape, bool)  # crossovers left to the eigenvalue problem
-    parts = []
-    modal = np.flatnonzero(found.modal)
+    parts: list[tuple[Ints, Ints, Array]] = []
+    modal = np.asarray(np.flatnonzero(found.modal), np.int64)
     if modal.size:
         some, failed = crossover_intervals(found.some(modal), w[modal], H[modal])
         left[modal] = failed
@@ -63,12 +63,12 @@ def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossi
     left &= ~found.ch.empty
     gain, phase = _squared_frequencies(found.ch, found.poles, left)
     parts.append(_candidates(gain))
-    at_gain = _polished(found, *(np.concatenate(x) for x in zip(*parts, strict=True)), gain=True)
-    return at_gain, _polished(found, *_candidates(phase), gain=False)
+    point, channel, start = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    return _polished(found, point, channel, start, gain=True), _polished(found, *_candidates(phase), gain=False)
 
 
 def _squared_frequencies(ch: Channels, poles: Complex, with_gain: NDArray[np.bool_]) -> tuple[Complex, Complex]:
-    """w^2 (m, n, nx) of the gain crossovers, of the channels ``with_gain`` (m, n), and of the phase crossings; NaN, complex, infinite ones included."""
+    """w^2 (m, n, nx) of the gain crossovers, of the channels ``with_gain`` (m, n), and of the phase crossings; complex and infinite ones too."""
     m, nx = ch.A.shape[:2]
     n = ch.B.shape[2]
     size = np.abs(poles)

@@ -47,7 +47,7 @@ def crossover_intervals(found: Resolvent, w: Array, H: NDArray[np.complex128]) -
     """
     f = H.real + 0.5
     weight = np.abs(found.residues)
-    failed = ~np.isfinite(f).all(axis=2)
+    failed = np.asarray(~np.isfinite(f).all(axis=2), bool)
     bend = weight @ _inverse_cubes(found.poles, w[:, :-1], w[:, 1:])
     open_ = ~_empty(f[..., :-1], f[..., 1:], (w[:, 1:] - w[:, :-1])[:, None], bend)
     point, channel, k = np.nonzero(open_ & ~failed[..., None])

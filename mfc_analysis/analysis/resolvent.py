@@ -71,17 +71,17 @@ class Resolvent:
         return H, slope
 
 
-    def some(self, index: NDArray[np.bool_]) -> Resolvent:
+    def some(self, index: Ints) -> Resolvent:
         """The same at some of the points."""
         return Resolvent(self.ch.at(index), self.poles[index], self.residues[index], self.modal[index])
 
 
 def resolvent(ch: Channels, modes: tuple[Complex, Complex] | None = None) -> Resolvent:
     """Modes of the channels' common A, and at which points they can be trusted. ``modes``: eigenvalues and vectors where they are known."""
-    poles, V = np.linalg.eig(ch.A) if modes is None else modes
-    poles, V = poles.astype(np.complex128), V.astype(np.complex128)
+    found = np.linalg.eig(ch.A) if modes is None else modes
+    poles, V = np.asarray(found[0], np.complex128), np.asarray(found[1], np.complex128)
     try:
-        inverse, modal = np.linalg.inv(V), np.ones(len(V), bool)
+        inverse, modal = np.asarray(np.linalg.inv(V), np.complex128), np.ones(len(V), bool)
     except np.linalg.LinAlgError:
         modal = np.abs(np.linalg.det(V)) > 0
         inverse = np.zeros_like(V)
