@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mfc_analysis.errors import UnknownName
+from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.laws.force import DampedForcePI, ForcePI, OpenLoopForce
 from mfc_analysis.laws.hybrid import HybridMotionForce
 from mfc_analysis.laws.joint_torque import ComputedTorque, InverseDynamics, JointPID, TorqueFeedforward
@@ -32,8 +32,10 @@ LAWS: dict[str, type[Law]] = {
 
 
 def by_equation(number: str) -> type[Law]:
-    """The class of the law with this equation number, like "9.10". Raises UnknownName."""
-    key = str(number).strip().removeprefix("eq").strip(" .()")
+    """The class of the law with this equation number, like "9.10" (text: the number 9.10 is 9.1). Raises UnknownName, BadArgument."""
+    if not isinstance(number, str):
+        raise BadArgument("number", number, 'the equation as text, like "9.10": the number 9.10 could not be told from 9.1')
+    key = number.strip().removeprefix("eq").strip(" .()")
     if key not in LAWS:
         raise UnknownName("number", number, LAWS)
     return LAWS[key]

@@ -16,6 +16,8 @@ def array(argument: str, value: Any, shape: tuple[int | None, ...] | None = None
     """A finite float array of the given shape (None: any length on that axis), copied and read-only."""
     said = takes or ("finite numbers" if shape is None else f"finite numbers of shape {_shape(shape)}")
     try:
+        if np.asarray(value).dtype.kind in "USmM":  # numpy would read the text "3" as a number
+            raise TypeError
         out = np.array(value, dtype=float)
     except (TypeError, ValueError) as why:
         raise BadArgument(argument, value, said) from why
