@@ -16,6 +16,7 @@ from mfc_analysis.linearization import Linearization
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report.section import (
     Callout,
+    Cell,
     Check,
     Column,
     Equation,
@@ -152,7 +153,7 @@ def payload_section() -> Section:
         f" does not know presses {written(abs(closed[1]))} N too hard under 9.21; kfp = 1 leaves {written(share, 2)} of it, "
         f"and the integral leaves {written(float(np.abs(errors['9.23, kfp = 1, kfi = 5']).max()), 2)} N at most.",
     )
-    rows = tuple(
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
         (Number(float(m), exact=True), float(c), float(s), *(tiny(float(errors[name][i])) for name in by_law))
         for i, (m, c, s) in enumerate(zip(masses, closed, slow, strict=True))
     )
@@ -243,7 +244,8 @@ def free_space_section() -> Section:
     figure = Figure(
         partial(plots.traces, a.t, (fast, slow), ("slider", "UR5"), title="Pushing on nothing"),
         "Speed along the tool axis after the force is asked for in free space.",
-        f"Speeds over one second: 9.22 slider {a.speed[-1]:.3g} m/s, UR5 {runs[2].speed[-1]:.3g} m/s; 9.23 slider {b.speed[100]:.3g} m/s, UR5 {runs[3].speed[-1]:.3g} m/s.",
+        f"Speeds over one second: 9.22 slider {a.speed[-1]:.3g} m/s, UR5 {runs[2].speed[-1]:.3g} m/s; "
+        f"9.23 slider {b.speed[100]:.3g} m/s, UR5 {runs[3].speed[-1]:.3g} m/s.",
     )
     body = (
         Equation('dot(v) -> (k_"fi" F_d)/(k_"damp" + b)', "the acceleration that is left under 9.23", "9.23"),
@@ -252,7 +254,7 @@ def free_space_section() -> Section:
         Callout(
             Status.INFO,
             "What this shows",
-            "A demonstration of the chapter's warning: these loops are not meant to be run like this, so nothing here passes or fails but the closed forms.",
+            "A demonstration of the chapter's warning. These loops are not meant to be run like this: nothing here passes or fails but the closed forms.",
         ),
     )
     checks = (
@@ -389,6 +391,6 @@ def force_checks(lin: Linearization, phase: float, gain_db: float, peak: float) 
     m = lin.margins("force")
     return (
         at_least("phase margin", phase, float(m.phase_deg[0, 2]), "°", "fz"),
-        at_least("gain increase", gain_db, float(m.gain_increase_db[0, 2]), "dB", "fz"),
+        at_least("gain margin, up", gain_db, float(m.gain_increase_db[0, 2]), "dB", "fz"),
         at_most("sensitivity peak", peak, float(m.sensitivity_peak[0, 2]), "", "fz"),
     )
