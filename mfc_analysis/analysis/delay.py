@@ -101,7 +101,7 @@ def rightmost(point: Delayed, count: int) -> Complex:
         return _ordered(roots[np.argsort(np.abs(roots), kind="stable")[point.zeros :]])[: max(count, 2)]
     more, found_before = 0, -1
     for _ in range(6):
-        nodes = np.minimum(np.ceil(0.6 * reach * point.T) + 14 + more, MOST_NODES).astype(int)
+        nodes = np.minimum(np.ceil(0.9 * reach * point.T) + 10 + more, MOST_NODES).astype(int)
         found = _collocated(point, nodes)
         good, sure = _polished(point, found[: 2 * count + 10])
         if sure >= count or nodes.max() >= MOST_NODES or (more > 40 and sure <= found_before):
@@ -117,13 +117,25 @@ def _reach(point: Delayed) -> float:
     size = np.abs(np.linalg.eigvals(point.A + point.B @ np.linalg.solve(np.eye(len(point.T)) - point.D, point.C)))
     size = np.concatenate([size, np.abs(np.linalg.eigvals(point.A)), 1 / point.T])
     top = size.max()
-    w = np.geomspace(max(size[size > 0].min(), 1e-3 * top) * 0.3, 1e3 * top, 120)
+    w = np.geomspace(max(size[size > 0].min(), 1e-3 * top) * 0.3, 1e3 * top, 80)
     G = point.C @ np.linalg.solve(1j * w[:, None, None] * np.eye(len(point.A)) - point.A, point.B.astype(complex)) + point.D
-    strength = np.abs(np.linalg.eigvals(np.abs(G))).max(axis=1)
+    strength = _perron(np.abs(G))
     if strength.max() < 1e-12 * max(1.0, float(np.abs(G).max())):
         return 0.0
     alive = np.flatnonzero(strength >= 0.7)
     return float(w[min(alive[-1] + 1, w.size - 1)]) if alive.size else float(w[0])
+
+
+def _perron(G: Array) -> Array:
+    """Upper bounds (k,) of the spectral radii of nonnegative G (k, n, n), near after a few powers: Collatz and Wielandt's quotients."""
+    x = np.ones((*G.shape[:2], 1))
+    bound = np.full(len(G), np.inf)
+    for _ in range(12):
+        y = G @ x
+        bound = np.minimum(bound, (y / x).max(axis=(1, 2)))
+        x = y + 1e-6 * y.max(axis=1, keepdims=True) + 1e-300
+        x = x / x.max(axis=1, keepdims=True)
+    return np.where(G.any(axis=(1, 2)), bound, 0.0)
 
 
 def _radius(A: Array) -> float:
@@ -180,7 +192,7 @@ def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:
         s[todo[wild]] = np.nan
     near = np.isfinite(s) & (np.abs(s - roots) < 1e-2 * size)
     first_bad = int(np.argmin(near)) if not near.all() else near.size
-    real = np.abs(roots.imag) == 0
+    real = (roots.imag == 0) | (np.abs(s.imag) < 1e-12 * size)
     s = np.where(real, s.real + 0j, s)
     return s[near], first_bad
 

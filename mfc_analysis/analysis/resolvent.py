@@ -95,9 +95,9 @@ def _condition(V: Complex, inverse: Complex) -> Array:
     """(m,) condition numbers of V with rows, then columns, scaled to one: units of the states don't count. NaN counts as large."""
     size, back = np.abs(V), np.abs(inverse)
     rows = np.sqrt((size * size).sum(axis=2))
-    size = size / rows[:, :, None]
-    columns = np.sqrt((size * size).sum(axis=1))
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        size = size / rows[:, :, None]
+        columns = np.sqrt((size * size).sum(axis=1))
         back = back * rows[:, None, :] * columns[:, :, None]
         found = np.sqrt(V.shape[-1] * (back * back).sum(axis=(1, 2)))
     return np.asarray(np.where(np.isfinite(found), found, np.inf))
