@@ -355,7 +355,9 @@ class Configuration:
 
     @cached_property
     def Lambda(self) -> Array:
-        """(J M^-1 J^T)^-1, (..., 6, 6). Raises NearSingular."""
+        """(J M^-1 J^T)^-1, (..., 6, 6). Raises NearSingular, always for fewer than six joints."""
+        if self._of.n < 6:
+            raise NearSingular(self._of.robot.tool, 0.0, float("inf"))
         self.check_regular()
         return np.asarray(np.linalg.inv(self.J @ self.M_inverse @ self.J_T), float)
 
