@@ -191,7 +191,8 @@ def force_pi(
     notes = [f"from F_d to F_tip (the feedforward included) the bandwidth is {found.tracking_bandwidth:.4g} rad/s"]
     low, high = found.stiffness_range
     above = "any stiffness above it" if high == math.inf else f"{high:.4g} N/m, {high / k:.3g} times this stiffness"
-    notes.append(f"with these gains stable from a stiffness of {low:.4g} N/m to {above}")
+    between = f"from a stiffness of {low:.4g} N/m to {above}" if low > 0 or high < math.inf else "on any stiffness"
+    notes.append(f"with these gains stable {between}")
     notes.append("in free space the speed ramps (kfi > 0): keep contact, or limit the time")
     return Gains(
         {"kfp": found.kfp, "kfi": found.kfi, "kdamp": found.kdamp},

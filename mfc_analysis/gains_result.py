@@ -95,7 +95,7 @@ class Gains(Mapping[str, Value]):
         return self.gains.get("kdamp")
 
     def __str__(self) -> str:
-        shown = {name: np.array2string(np.asarray(value), precision=6, separator=", ") for name, value in self.gains.items()}
+        shown = {name: np.array2string(np.asarray(value), precision=6, separator=", ").rstrip(".") for name, value in self.gains.items()}
         lines = [f"{name} = {text} [{self.units[name]}]" for name, text in shown.items()]
         lines += [f"formula:  {self.formula}", f"asked:    {self.definition}", f"loop:     {self.loop}"]
         if self.achieved is not None:
