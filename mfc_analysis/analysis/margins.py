@@ -145,6 +145,19 @@ class Margins:
 
     __repr__ = __str__
 
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        heads = ("channel", "gain down to", "gain up to", "phase", "delay", "Ms")
+        rows = []
+        for k, name in enumerate(self.channels):
+            low, peak = (_worst_of(values[:, k], True) for values in (self.gain_reduction, self.sensitivity_peak))
+            high, phase, delay = (_worst_of(values[:, k], False) for values in (self.gain_increase, self.phase_deg, self.delay))
+            rows.append((name, f"{low:.4g}", _factor(high), _angle(phase), _milliseconds(delay), f"{peak:.4g}"))
+        head = "".join(f'<th scope="col">{h}</th>' for h in heads)
+        body = "".join(f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{cell}</td>" for cell in row[1:]) + "</tr>" for row in rows)
+        return f"<table><caption>{escape(str(self).splitlines()[0])}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
 
 def margins(system: OpenSystem, at: str) -> Margins:
     """Margins of every channel of the analysis point ``at`` at every point, dead time included.
@@ -311,6 +324,11 @@ def _least(best: Array, best_at: Array, point: NDArray[np.int64], channel: NDArr
     p, c, v, w = point[some][order], channel[some][order], value[some][order], at[some][order]
     better = v < best[p, c]
     best[p[better], c[better]], best_at[p[better], c[better]] = v[better], w[better]
+
+
+def _worst_of(values: Array, largest: bool) -> float:
+    some = values[~np.isnan(values)]
+    return float("nan") if not some.size else float(some.max() if largest else some.min())
 
 
 def _inverse(x: float) -> float:

@@ -275,6 +275,12 @@ def test_the_worst_figures_come_with_their_time_and_channel():
     assert found.gain_reduction_db[0, 0] == np.inf
 
 
+def test_a_notebook_shows_a_table_with_names_escaped():
+    found = margins(replace(open_system([25 / (s**3 + 10 * s**2 + 10 * s + 10)]), wire_names=("<b>elbow",)), "torque")
+    page = found._repr_html_()
+    assert "&lt;b&gt;elbow" in page and "29.1 deg" in page and "3.6" in page
+
+
 def stable(system: OpenSystem) -> bool:
     return bool(stability(system).nonzero_stable[0])
 
