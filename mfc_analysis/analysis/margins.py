@@ -112,10 +112,11 @@ class Margins:
         """The smallest margins (largest reduction and peak) with their times and channels; unstable points are listed apart."""
 
         def pick(values: Array, largest: bool) -> tuple[float, float, str]:
-            if np.isnan(values).all():
+            some = np.flatnonzero(~np.isnan(values))
+            if not some.size:
                 return float("nan"), float("nan"), "-"
-            flat = int(np.nanargmax(values) if largest else np.nanargmin(values))
-            i, k = np.unravel_index(flat, values.shape)
+            found = values.ravel()[some]
+            i, k = np.unravel_index(some[found.argmax() if largest else found.argmin()], values.shape)
             return float(values[i, k]), float(self.times[i]), self.channels[k]
 
         return Worst(
