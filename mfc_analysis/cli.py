@@ -5,6 +5,7 @@ Exit codes: 0 done or met, 1 a requirement is not met, 2 bad input (with a sente
 
 from __future__ import annotations
 
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +29,11 @@ Bandwidth = Annotated[float | None, typer.Option(help="[rad/s] where T = L/(1 + 
 
 def main() -> None:
     """Runs the command line."""
+    import sys
+
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a console that has no such character shows another one, and no traceback
     app()
 
 

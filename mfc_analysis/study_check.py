@@ -48,7 +48,8 @@ class LoopCheck:
         """Cells of the table, in the order of COLUMNS."""
         out: list[tuple[str, ...]] = []
         for line, case in self.lines:
-            status, label, found, asked, *_ = line.cells()
+            status, label, _, asked, *_ = line.cells()
+            found = "undefined" if math.isnan(line.found) else f"{line.found:.4g} {line.unit}".rstrip()
             out.append((status, label, asked, found, line.where, "" if line.when is None else f"{line.when:.4g} s", case))
         return out
 

@@ -120,9 +120,7 @@ def limits_section(name: str, searched: Sequence[Limit], *, many: bool) -> Secti
 
 def chapter(out: str | os.PathLike[str], formats: Sequence[str], progress: Progress) -> tuple[Path, ...]:
     """Writes the report of the whole chapter into ``out``."""
-    from mfc_analysis.report import chapter as pages
-    from mfc_analysis.report import render
+    from mfc_analysis.report.chapter import write_chapter
 
-    found = pages.chapter_document(progress=lambda some, of: progress("analysing", some, of))
-    files = render(found, out, formats or ("html", "pdf", "json"), progress=lambda some, of: progress("writing", some, of))
+    files = write_chapter(out, formats or ("html", "pdf", "json"), lambda some, of: progress("the chapter", some, of))
     return tuple(files.values())

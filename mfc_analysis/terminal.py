@@ -42,7 +42,7 @@ def complain(line: object) -> None:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
-    """A table on the standard output; PASS, WATCH and FAIL in their colours on a terminal."""
+    """A table on the standard output, without the columns that are empty; PASS, WATCH and FAIL in their colours on a terminal."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -50,16 +50,17 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[object]], title: str =
     colours = {"PASS": "green", "WATCH": "yellow", "FAIL": "bold red"}
     if title:
         say(title)
-    out = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in columns:
-        out.add_column(Text(column), overflow="fold")
+    out = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    shown = [i for i in range(len(columns)) if any(str(row[i]) for row in rows)]
+    for i in shown:
+        out.add_column(Text(columns[i]), overflow="fold")
     for row in rows:
-        cells = [plain(cell) for cell in row]
+        cells = [plain(row[i]) for i in shown]
         out.add_row(*(Text(cell, style=colours.get(cell, "")) for cell in cells))
     screen = console()
-    with screen.capture() as shown:
+    with screen.capture() as drawn:
         screen.print(out, soft_wrap=False)
-    sys.stdout.write("\n".join(line.rstrip() for line in shown.get().splitlines()) + "\n")
+    sys.stdout.write("\n".join(line.rstrip() for line in drawn.get().splitlines()) + "\n")
 
 
 def pairs(rows: Sequence[tuple[str, str]]) -> None:
@@ -109,6 +110,9 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
             except MfcError as why:
                 complain(f"error: {why}")
                 raise Exit(BAD_INPUT) from None
+            except BrokenPipeError:  # whoever read has seen enough
+                sys.stdout = None  # nothing is left to flush into
+                raise Exit(MET) from None
             except OSError as why:
                 complain(f"error: {why.filename or 'file'}: {why.strerror or why}")
                 raise Exit(BAD_INPUT) from None
