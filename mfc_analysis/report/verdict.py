@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mfc_analysis.report.section import Check, Column, Document, Matrix, MatrixCell, Section, Status, Table, worst
+
+RARE, MOST_COLUMNS = 0.2, 8  #: part of the loops that a check of a wide matrix must have for a column of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +74,13 @@ def said(section: Section, check: Check) -> str:
 
 
 def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
-    """Loops x checks, a row per loop name, the worst check where several share a cell; None when no section names its loop."""
+    """Loops x checks, a row per loop name, the worst check where several share a cell; None when no section names its loop.
+
+    Checks that only few loops have share the last column. A unit that all cells of a column have stands in its head.
+    """
     cells: dict[str, dict[str, tuple[Section, Check]]] = {}
     first: dict[str, Section] = {}
-    names: list[str] = []
+    count: dict[str, int] = {}
     for top in document.sections:
         for section, check in top.every_check():
             loop = section.loop or top.loop
@@ -83,15 +88,25 @@ def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
                 continue
             first.setdefault(loop, top if top.loop == loop else section)
             row = cells.setdefault(loop, {})
-            if check.name not in names:
-                names.append(check.name)
+            if check.name not in row:
+                count[check.name] = count.get(check.name, 0) + 1
             if check.name not in row or check.severity > row[check.name][1].severity:
                 row[check.name] = (section, check)
     if not cells:
         return None
+    rare = [name for name, some in count.items() if some < len(cells) * RARE] if len(count) > MOST_COLUMNS else []
+    names = [name for name in count if name not in rare]
+    units = {name: {row[name][1].unit for row in cells.values() if name in row} for name in names}
+    shared = {name: found.copy().pop() for name, found in units.items() if len(found) == 1}
     shown = {section.loop for top in document.sections for section, _ in top.every_check() if section.shown}
-    rows = tuple((f"{loop} (shown)" if loop in shown else loop, keys[id(first[loop])], tuple(_cell(row.get(name), keys) for name in names)) for loop, row in cells.items())
-    return Matrix("Every loop against every check; each cell leads to its evidence.", tuple(names), rows)
+    rows = []
+    for loop, row in cells.items():
+        others = max((row[name] for name in rare if name in row), key=lambda pair: pair[1].severity, default=None)
+        last = (_cell(others, keys, others[1].name if others else ""),) if rare else ()
+        found = (*(_cell(row.get(name), keys, unit=shared.get(name)) for name in names), *last)
+        rows.append((f"{loop} (shown)" if loop in shown else loop, keys[id(first[loop])], found))
+    heads = tuple(f"{name} [{shared[name]}]" if shared.get(name) else name for name in names) + (("other checks",) if rare else ())
+    return Matrix("Every loop against every check; each cell leads to its evidence.", heads, tuple(rows))
 
 
 def requirements(section: Section) -> Table:
@@ -103,11 +118,12 @@ def requirements(section: Section) -> Table:
     )
 
 
-def _cell(pair: tuple[Section, Check] | None, keys: dict[int, str]) -> MatrixCell | None:
+def _cell(pair: tuple[Section, Check] | None, keys: dict[int, str], what: str = "", unit: str | None = None) -> MatrixCell | None:
     if pair is None:
         return None
     section, check = pair
-    return MatrixCell(check.status, str(check.value), keys[id(section)])
+    value = str(replace(check.value, unit="")) if unit is not None else str(check.value)
+    return MatrixCell(check.status, f"{what}: {value}" if what else value, keys[id(section)])
 
 
 def _count(some: int, of: int) -> str:

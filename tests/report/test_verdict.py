@@ -54,8 +54,29 @@ def test_every_cell_of_the_matrix_leads_to_the_section_of_its_check():
     document = samples.chapter()
     keys = {id(s): f"key-{i}" for i, s in enumerate(document.sections)}
     found = matrix(document, keys)
-    assert found.columns == ("phase margin", "gain reduction")
+    assert found.columns == ("phase margin [°]", "gain reduction [dB]")
     assert [(name, cells[0].target) for name, _, cells in found.rows] == [("UR5 + 2 kg", "key-0"), ("single joint", "key-1"), ("planar 2R", "key-2")]
+
+
+def test_checks_that_few_loops_have_share_a_column_of_a_wide_matrix():
+    common = tuple(Check(f"c{i}", 1.0, 2.0, "", 1.0, Status.PASS) for i in range(8))
+    odd = Check("odd", 1.0, 0.5, "m", -0.5, Status.FAIL)
+    sections = tuple(Section(f"s{i}", checks=(*common, odd) if i == 0 else common, loop=f"s{i}") for i in range(6))
+    found = matrix(Document("t", "s", sections), {id(s): s.title for s in sections})
+    assert found.columns == (*(f"c{i}" for i in range(8)), "other checks")
+    assert found.rows[0][2][-1].text == "odd: 0.500 m" and found.rows[1][2][-1] is None
+
+
+def test_loops_that_are_only_shown_keep_their_status_and_leave_the_banner_alone():
+    bad = Check("x", 1.0, 0.0, "", -1.0, Status.FAIL)
+    good = Check("x", 1.0, 2.0, "", 1.0, Status.PASS)
+    shown = Section("open", checks=(bad,), loop="open", shown="open loop")
+    document = Document("t", "s", (Section("used", checks=(good,), loop="used"), Section("law", sections=(shown,))))
+    found = verdict(document)
+    assert shown.status is Status.FAIL and found.status is Status.PASS and found.check is good
+    assert "1 loop is shown beside them" in found.detail and "1 of 1 misses a limit" in found.detail
+    page = json.loads(rendered(document, ("json",))["json"])
+    assert page["sections"][1]["sections"][0]["status"] == "FAIL" and page["sections"][1]["sections"][0]["shown"] == "open loop"
 
 
 def test_two_checks_in_one_cell_show_the_worse():
