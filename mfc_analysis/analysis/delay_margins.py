@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
 from mfc_analysis.analysis.crossings import Crossings
 from mfc_analysis.analysis.delay import Delayed, delayed_points, rightmost
-from mfc_analysis.analysis.margins import Figures, assembled, dc_sensitivity
+from mfc_analysis.analysis.margins import FARTHEST, Figures, assembled, dc_sensitivity
 from mfc_analysis.analysis.peak import frequencies_of_interest, thinned
 from mfc_analysis.analysis.poles import Spectrum
 from mfc_analysis.analysis.resolvent import CONDITION
@@ -180,6 +180,9 @@ def _crossings(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, A
     """Channels, frequencies and H of the sign changes of Re H + 1/2 (``gain``) or Im H, by the Illinois rule."""
     f = H.real + 0.5 if gain else H.imag
     changes = (f[:, :-1] >= 0) != (f[:, 1:] >= 0)  # a zero exactly on one of them counts once
+    if not gain:  # a loop too small for any gain to matter changes sign by rounding, everywhere
+        size = np.abs(H)
+        changes &= np.maximum(size[:, :-1], size[:, 1:]) > 1 / FARTHEST
     channel, k = np.nonzero(changes)
     a, b, fa, fb = w[k], w[k + 1], f[channel, k], f[channel, k + 1]
     x, hx = a.copy(), H[channel, k]
