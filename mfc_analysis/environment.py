@@ -30,7 +30,7 @@ class Environment:
     """A spring-damper environment.
 
     Args:
-        stiffness: [N/m, Nm/rad] scalar, one per axis, or (6, 6) in the compliance frame (then ``axes`` is not used).
+        stiffness: [N/m, Nm/rad] scalar, one per axis in the order of ``axes``, or (6, 6) in the compliance frame (then ``axes`` is not used).
         damping: [Ns/m, Nms/rad] likewise.
         pose: 4x4 pose of the compliance frame in the world; None: the tool's start pose.
         axes: directions of the compliance frame, "z", "xyz", "rz", "xyrz", ...
@@ -79,14 +79,14 @@ class Environment:
 
 
 def parse_axes(axes: str) -> tuple[int, ...]:
-    """'xyrz' -> (0, 1, 5). Raises BadArgument."""
+    """'xyrz' -> (0, 1, 5), in the order given. Raises BadArgument."""
     takes = "directions from x, y, z, rx, ry, rz, each at most once, like 'z', 'xyz' or 'xyrz'"
     if not isinstance(axes, str) or not re.fullmatch(r"(r?[xyz])+", axes):
         raise BadArgument("axes", axes, takes)
     index = tuple(AXES.index(a) for a in re.findall(r"r?[xyz]", axes))
     if len(set(index)) < len(index):
         raise BadArgument("axes", axes, takes)
-    return tuple(sorted(index))
+    return index
 
 
 def _matrix(argument: str, given: ArrayLike, index: tuple[int, ...], full: bool) -> Array:

@@ -116,7 +116,7 @@ class ClosedLoop:
         given = self.environment
         if given is None:
             return ()
-        surfaces = (given,) if isinstance(given, Environment) else tuple(given)
+        surfaces = (given,) if isinstance(given, Environment) or not isinstance(given, (list, tuple)) else tuple(given)
         for surface in surfaces:
             if not isinstance(surface, Environment):
                 raise BadArgument("environment", surface, "an Environment or a list of them")
@@ -151,8 +151,8 @@ class ClosedLoop:
             rest = self._rest()
             m = len(t)
             return OperatingPoint(t, np.repeat(rest.x, m, axis=0), np.zeros((m, self.robot.n)))
-        if simulation is None:
-            raise BadArgument("simulation", None, 'the Simulation to linearise along, with about="simulation"')
+        if getattr(simulation, "state_names", None) != self.equations.state_names or simulation is None:
+            raise BadArgument("simulation", simulation, 'a Simulation of this loop to linearise along, with about="simulation"')
         return simulation.operating_point(t)
 
     def _rest(self) -> OperatingPoint:
@@ -276,7 +276,7 @@ class ClosedLoop:
         from mfc_analysis.simulation import simulate, start_state
 
         if x is None:
-            first = float(np.ravel(np.asarray(times, float))[0]) if np.ndim(times) else 0.0
+            first = 0.0 if isinstance(times, (int, float, str)) or np.ndim(times) == 0 else float(checks.times(times)[0])
             x0 = start_state(self, first, initial_error, q, v, integral, force_integral, actuator)
         else:
             x0 = checks.array("x", x, (self.equations.nx,))
