@@ -128,14 +128,17 @@ def read(path: str | os.PathLike[str]) -> Study:
         raise StudyError(str(path), "loop", "takes [[loop]] tables")
     merged = [overridden(raw, t) for t in tables] or [raw]
     checked = [_checked(str(path), one, tables[i] if tables else None, i) for i, one in enumerate(merged)]
-    names = _names(checked, tables)
     from mfc_analysis.study_parts import Parts
 
-    loops = []
-    for i, (name, table) in enumerate(zip(names, checked, strict=True)):
+    loops: list[StudyLoop] = []
+    for i, table in enumerate(checked):
         _check_cases(str(path), table)
         parts = Parts(table, file.parent, str(path), f"loop[{i}]" if tables else "")
-        loops.append(StudyLoop(name, parts.loop(), parts.times(), parts.at(), table, parts))
+        loop = parts.loop()
+        name = table.name or f"{type(loop.law).__name__} on {loop.robot.name}"
+        if any(name == other.name for other in loops):
+            name = f"{name} ({i + 1})"
+        loops.append(StudyLoop(name, loop, parts.times(), parts.at(), table, parts))
     first = checked[0]
     title = first.title or file.stem
     return Study(title, first.report.name or file.stem, first.text or "", file, hashlib.sha256(content).hexdigest(), tuple(loops), first)
@@ -149,11 +152,6 @@ def overridden(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str,
         anew = isinstance(value, dict) and any(word in value for word in DECIDING.get(key, ()))
         out[key] = overridden(old, value) if isinstance(old, dict) and isinstance(value, dict) and not anew else value
     return out
-
-
-def _names(tables: Sequence[StudyTable], given: Sequence[Mapping[str, Any]]) -> list[str]:
-    names = [table.name or (f"loop {i + 1}" if given else "loop") for i, table in enumerate(tables)]
-    return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
 
 
 def _check_cases(file: str, table: LoopTable) -> None:

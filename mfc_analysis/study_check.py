@@ -26,10 +26,14 @@ class LoopCheck:
 
     loop: StudyLoop
     lines: tuple[tuple[Line, str], ...]  #: line and case ("" where the study has no ranges), failures first
-    verdict: Verdict  #: of one case, for what is common to all
+    verdicts: tuple[tuple[str, Verdict], ...]  #: case and verdict, in the order of the ranges
     notes: tuple[str, ...]
-    cases: int
     limits: tuple[Limit, ...] = ()  #: of the design wishes
+
+    @property
+    def cases(self) -> int:
+        """How many cases were judged."""
+        return len(self.verdicts)
 
     @property
     def status(self) -> str:
@@ -92,7 +96,7 @@ def _check(one: StudyLoop, progress: Progress) -> LoopCheck:
                 worst[line.name] = (line, case_said)
     lines = sorted(worst.values(), key=lambda pair: pair[0].severity, reverse=True)
     notes = tuple(dict.fromkeys(note for _, verdict in found for note in verdict.notes))
-    return LoopCheck(one, tuple(lines), found[0][1], notes, len(found))
+    return LoopCheck(one, tuple(lines), tuple(found), notes)
 
 
 def as_json(checks: Sequence[LoopCheck]) -> str:

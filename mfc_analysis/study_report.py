@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mfc_analysis.study_check import COLUMNS, LoopCheck
+from mfc_analysis.study_check import LoopCheck
 from mfc_analysis.study_check import check as check_study
 from mfc_analysis.study_limits import limits
 
 if TYPE_CHECKING:
     from mfc_analysis.report.section import Document, Section
+    from mfc_analysis.requirements import Line
     from mfc_analysis.searches import Limit
     from mfc_analysis.study import Study
 
 Progress = Callable[[str, int, int], None]
+
+MOST_ROWS = 40  #: cases shown on a page
 
 #: sections of a loop that ``report.sections`` of a study may choose from, and the titles they have
 PAGES: dict[str, tuple[str, ...]] = {
@@ -82,24 +86,26 @@ def document(study: Study, done: Callable[[str], None] | None = None, progress: 
 
 
 def ranges_section(found: LoopCheck) -> Section:
-    """The worst line of each requirement over the ranges, with the case it belongs to."""
+    """The worst line of each requirement over the ranges with the case it belongs to, and what came of each case."""
     from mfc_analysis.report.checks import checks
     from mfc_analysis.report.section import Column, Section, Status, Table
 
     worst, case = found.lines[0]
     lines = tuple(replace(line, where=", ".join(part for part in (line.where, said) if part)) for line, said in found.lines)
-    columns = tuple(Column(name, numeric=False) for name in COLUMNS)
-    rows = tuple((Status(row[0]), *row[1:]) for row in found.rows())
-    ordered = (columns[1], columns[0], *columns[2:])  # the first column heads its row
-    table = Table(
-        f"The worst of {found.cases} cases for each requirement; the controller's model stays what it is.",
-        ordered,
-        tuple((row[1], row[0], *row[2:]) for row in rows),
-    )
+    ranked = sorted(found.verdicts, key=lambda pair: pair[1].worst.severity, reverse=True)[:MOST_ROWS]
+    words = [Column(head, numeric=False) for head in ("Case", "Tightest requirement", "Where")]
+    columns = (words[0], Column("Result"), words[1], Column("Found"), words[2])
+    rows = tuple((said, Status(v.status.value), v.worst.label, _found(v.worst), v.worst.place) for said, v in ranked)
+    which = f"the worst {len(rows)} of {found.cases} cases" if len(rows) < found.cases else f"all {found.cases} cases"
+    table = Table(f"{which[:1].upper()}{which[1:]}, the worst first; the controller's model stays what it is.", columns, rows)
     finding = f"Of {found.cases} cases the worst is {case}: {worst.label} ({worst.place or 'everywhere'})."
     numbers = {"cases": found.cases, "worst": {line.name: {"found": line.found, "case": said} for line, said in found.lines}}
-    shown = checks(replace(found.verdict, lines=lines))
+    shown = checks(replace(found.verdicts[0][1], lines=lines))
     return Section(f"{found.loop.name}: over the ranges", finding, (table,), shown, numbers, loop=f"{found.loop.name}, over its ranges")
+
+
+def _found(line: Line) -> str:
+    return "undefined" if math.isnan(line.found) else f"{line.found:.4g} {line.unit}".rstrip()
 
 
 def limits_section(name: str, searched: Sequence[Limit], *, many: bool) -> Section:

@@ -174,7 +174,7 @@ def test_loops_change_some_keys_and_a_table_that_names_itself_anew_is_replaced(t
     text = BASE + '[[loop]]\nname = "soft"\nlaw.kp = 50\n[[loop]]\nlaw = { equation = "9.8", kp = 300 }\nhardware.delay = 1e-3\n'
     soft, other = study(tmp_path, text).loops
     assert (soft.name, float(soft.loop.law.kp.array), float(soft.loop.law.kd.array)) == ("soft", 50.0, 20.0)
-    assert (other.name, other.loop.law.equation, other.loop.law.kd.array) == ("loop 2", "9.8", None)
+    assert (other.name, other.loop.law.equation, other.loop.law.kd.array) == ("JointPID on ur5", "9.8", None)
     assert other.loop.hardware.delay == 1e-3 and other.loop.hardware.torque_lag == 2e-3
     assert overridden({"a": {"b": 1, "c": 2}}, {"a": {"b": 3}}) == {"a": {"b": 3, "c": 2}}
 
