@@ -127,7 +127,7 @@ def _end(system: OpenSystem, into: int, out: int, others_decay: bool, known: Spe
     if known.roots.count[0]:
         split = without_zero_roots(a, b, c, int(known.roots.count[0]))
         row, size = split.C_zero, np.abs(split.C_zero)
-        other = float((np.abs(split.C) @ np.abs(split.B))[0, 0])
+        other = float((np.abs(split.C) @ np.abs(split.B))[0, 0]) + 1e-4 * float(np.linalg.norm(split.C) * np.linalg.norm(split.B))
         for _ in range(len(split.A_zero)):
             strength, scale = float((row @ split.B_zero)[0, 0]), float((size @ np.abs(split.B_zero))[0, 0])
             gain = strength if abs(strength) > 1e-9 * (scale + other) else gain
