@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mfc_analysis.analysis.poles import Spectrum, rates, spectrum
 from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.analysis.zero_roots import without_zero_roots
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.jacobians import closed_matrix
 from mfc_analysis.loop import ClosedLoop
@@ -35,7 +36,9 @@ Bools = NDArray[np.bool_]
 
 ROUNDING = 1e-9  #: part of the acceleration scale below which a residual is rounding
 RUN_POINTS = 400  #: of the nonlinear run, at least
-HOLD_RUN = 5.0  #: [s] of a nonlinear run where neither times nor the reference say how long
+GRAVITY = 10.0  #: [m/s^2] the acceleration scale of an arm at rest
+SLIDES = 1e-8  #: part of the residual below which a slide is rounding
+HOLD_RUN = 2.0  #: [s] of a nonlinear run where neither times nor the reference say how long
 
 
 class Found(NamedTuple):
@@ -111,7 +114,7 @@ class Evidence:
 
     @cached_property
     def run(self) -> Simulation:
-        """The nonlinear run along the reference: over the times, or its duration, period, or 5 s where one time is given."""
+        """The nonlinear run along the reference: over the times, or its duration, period, or 2 s where one time is given."""
         first, last = float(self.times[0]), float(self.times[-1])
         if last == first:
             last = first + float(self.loop.ref.duration or self.loop.ref.period or HOLD_RUN)
@@ -147,28 +150,25 @@ class Evidence:
         lin, known = self.linearization, self._spectrum
         if not (lin.delay or lin.force_delay):
             return known.rates, known.zero
-        found = lin.delay_roots(max(6, known.poles.shape[1]))
-        zero = np.zeros(found.shape, bool)
-        for i, count in enumerate(known.roots.count - known.roots.dropped):
-            zero[i, np.argsort(np.abs(found[i]))[:count]] = True
-        return found, zero
+        found = lin.delay_roots(known.poles.shape[1])  # as many as without dead time
+        return found, found == 0  # those at zero are exact
 
     def implied_error(self) -> Found:
-        """How far [rad, m] the residual would move the joints: |A^-1 r| of the linear loop, inf where nothing holds them; 0: rounding only.
+        """How far [rad, m] the residual moves the joints in the end: |A^-1 r| of the linear loop; 0: rounding only.
 
-        r is what is left of every rate at the operating point, A without the integrals that act on nothing.
+        r is what is left of every rate at the operating point. What no rate changes stays where it is; inf where a root at zero lets the
+        joints slide.
         """
         loop, lin = self.loop, self.linearization
         nominal = loop.nominal(self.times)
         left = _left_over(loop, lin.point.x, self.times, nominal.v, nominal.a)
-        where = _joint_states(loop)
-        scale = 1.0 + np.abs(nominal.a).max(initial=0.0) + 10.0
-        if np.abs(left).max(initial=0.0) <= ROUNDING * scale:
+        if np.abs(left).max(initial=0.0) <= ROUNDING * (GRAVITY + np.abs(nominal.a).max(initial=0.0)):
             return Found(0.0)
         A = closed_matrix(loop.equations, self.times, lin.point.x, "state")
-        moved = np.stack([_displacement(A[i], left[i], loop.equations.integrals)[where] for i in range(len(self.times))])
-        i, j = np.unravel_index(int(np.argmax(np.abs(moved))), moved.shape)
-        return Found(float(np.abs(moved[i, j])), loop.robot.joint_names[j], float(self.times[i]))
+        where = loop.equations.parts["q"].where
+        moved = np.stack([_displacement(A[i], left[i], where) for i in range(len(self.times))])
+        i, j = np.unravel_index(int(np.argmax(moved)), moved.shape)
+        return Found(float(moved[i, j]), loop.robot.joint_names[j], float(self.times[i]))
 
     def _joint_of(self, i: int, s: complex) -> str:
         """The joint (or state) that takes part most in the mode of root ``s``, by participation factors."""
@@ -311,20 +311,14 @@ def _left_over(loop: ClosedLoop, x: Array, times: Array, v: Array, a: Array) -> 
     return np.array(value(equations.join(slots)))
 
 
-def _joint_states(loop: ClosedLoop) -> slice:
-    return loop.equations.parts["q"].where
-
-
-def _displacement(A: Array, left: Array, integrals: tuple[int, ...]) -> Array:
-    """-A^+ left (nx,), the integrals that act on nothing held; inf in the positions where no displacement balances it."""
-    keep = np.setdiff1d(np.arange(len(A)), [i for i in integrals if not A[:, i].any()])
-    inner, wanted = A[np.ix_(keep, keep)], -left[keep]
-    rows = np.abs(inner).max(axis=1, initial=0.0)
-    rows[rows == 0] = 1.0
-    moved, *_ = np.linalg.lstsq(inner / rows[:, None], wanted / rows, rcond=1e-12)
-    out = np.zeros(len(A))
-    missing = np.abs(inner @ moved - wanted)
-    out[keep] = moved
-    if np.any(missing > 1e-6 * np.abs(wanted).max(initial=0.0)):
-        out[:] = np.inf
+def _displacement(A: Array, left: Array, where: slice) -> Array:
+    """(n,) |positions| at the end of x' = A x + left from zero: the steady part, inf where a root at zero slides."""
+    parts = without_zero_roots(A, left[:, None], np.eye(len(A))[where])
+    steady = parts.C @ np.linalg.solve(parts.A, parts.B) if len(parts.A) else np.zeros((where.stop - where.start, 1))
+    out = np.abs(steady[:, 0])
+    push = parts.B_zero
+    for _ in range(len(parts.A_zero)):
+        slide = np.abs(parts.C_zero @ push)[:, 0]
+        out[slide > SLIDES * (np.abs(parts.C_zero) @ np.abs(push))[:, 0] + SLIDES * np.abs(left).max()] = np.inf
+        push = parts.A_zero @ push
     return out

@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.steps import step
-from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.laws.law import TWIST, WRENCH
 
 if TYPE_CHECKING:
     from mfc_analysis.linearization import Linearization
 
 Array = NDArray[np.float64]
+
+RESISTED = 0.05  #: part of the stiffest axis above which an axis counts as resisted
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +52,14 @@ def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]
     """The system with a coordinate for each reference channel, and (input, output, name) of each."""
     system, law = lin.opened, lin.equations.law
     if law.equation in ("9.21", "9.22", "9.23"):
-        return system, _forces(system)
+        return system, _forces(lin, tuple(range(6)))
     if law.space == "joint":
         return system, [(f"q_d_{j}", f"q_{j}", j) for j in lin.equations.robot.joint_names]
     system = _with_followed_pose(system)
     rows = getattr(law, "rows", None)
     moving = tuple(range(6)) if rows is None else tuple(i for i in range(6) if _held(np.asarray(rows))[i] < 0.5)
     pairs = [(f"X_d_{TWIST[i]}", f"X_{TWIST[i]}", f"X_{TWIST[i]}") for i in moving]
-    return system, pairs if rows is None else pairs + _forces(system)
+    return system, pairs if rows is None else pairs + _forces(lin, tuple(i for i in range(6) if i not in moving))
 
 
 def _held(rows: Array) -> Array:
@@ -66,13 +68,21 @@ def _held(rows: Array) -> Array:
     return np.asarray((basis**2).sum(axis=0))
 
 
-def _forces(system: OpenSystem) -> list[tuple[str, str, str]]:
-    """F_d -> F_tip of the axes that a surface resists: where the tool's motion makes a force."""
-    if "F_tip_fx" not in system.output_names:
+def _forces(lin: Linearization, axes: tuple[int, ...]) -> list[tuple[str, str, str]]:
+    """F_d -> F_tip of those tool axes that a surface resists: by its stiffness and damping in tool axes, forces and moments apart."""
+    equations = lin.equations
+    if not equations.surfaces or "F_d_fx" not in lin.input_names:
         return []
-    first = system.output_names.index("F_tip_fx")
-    C = np.abs(close_wires(system)[2][:, first : first + 6]).max(axis=(0, 2))
-    return [(f"F_d_{c}", f"F_tip_{c}", f"F_{c}") for c, size in zip(WRENCH, C, strict=True) if size > 1e-9 * C.max(initial=0.0)]
+    q = np.ascontiguousarray(lin.point.x[:, equations.parts["q"].where])
+    X = equations.robot.pose(q)
+    size = np.zeros(6)
+    for surface in equations.surfaces:
+        assert surface.pose is not None
+        for R in surface.pose[:3, :3].T @ X[:, :3, :3]:
+            turn = np.kron(np.eye(2), R)
+            size = np.maximum(size, np.diag(turn.T @ (surface.K + surface.B) @ turn))
+    largest = np.repeat([size[:3].max(), size[3:].max()], 3)
+    return [(f"F_d_{WRENCH[i]}", f"F_tip_{WRENCH[i]}", f"F_{WRENCH[i]}") for i in axes if size[i] > RESISTED * largest[i] and largest[i] > 0]
 
 
 def _with_followed_pose(system: OpenSystem) -> OpenSystem:
