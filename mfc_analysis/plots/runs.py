@@ -15,6 +15,7 @@ from mfc_analysis.plots import figure as sheet
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+MANY = 3  #: names in a legend beside which the names of line styles have no room
 _KINDS = ("time history", "two histories", "three histories", "four histories")
 
 
@@ -72,7 +73,9 @@ def traces(
     sheet.hide_times(axes)
     sheet.label(axes[-1], "t [s]")
     sheet.label(axes[0], title=title)
-    if said is not None:
+    if said is not None and len(names) > MANY:  # no room for them among the joints
+        sheet.note(axes[0], f"solid: {said[0]}, dashed: {said[1]}", (0.99, 0.93), color=sheet.GREY, ha="right", inside=True)
+    elif said is not None:
         axes[0].plot([], [], color=sheet.GREY, linewidth=1.3, label=said[0])
         axes[0].plot([], [], color=sheet.GREY, linewidth=1.1, linestyle="--", label=said[1])
     sheet.legend(axes[0], columns=9, above=True)

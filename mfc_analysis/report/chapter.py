@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from mfc_analysis.report.section import Column, Document, Number, Scope, Section, Table
+from mfc_analysis.report.section import Column, Document, Number, Scope, Section, Table, written
 from mfc_analysis.report.write import FORMATS, Progress, render
 
 ROOM = "mfc_analysis.report.sections"
@@ -130,17 +130,22 @@ def all_poles(sections: Iterable[Section]) -> Section | None:
         if poles is None or not section.loop:
             continue
         place = section.numbers.get("worst", {})
-        first = True
-        for value in poles:
-            if complex(value).imag < 0:
-                continue
-            when = Number(float(place["time"]), exact=True) if first and "time" in place else ""
-            rows.append((section.loop if first else "", when, complex(value)))
-            first = False
+        rows.append((section.loop, Number(float(place["time"]), exact=True) if "time" in place else "", poles_words(poles)))
     if not rows:
         return None
-    columns = (Column("Loop", numeric=False), Column("t", "s"), Column("Pole", "1/s"))
-    return Section("All poles", body=(Table("Closed-loop poles of every loop at its worst place, slowest first; of a pair the upper one, with both signs.", columns, tuple(rows)),), key="all-poles")
+    columns = (Column("Loop", numeric=False), Column("t", "s"), Column("Poles [1/s]", numeric=False))
+    return Section("All poles", body=(Table("Closed-loop poles of every loop at its worst place, slowest first; × counts those that are alike.", columns, tuple(rows)),), key="all-poles")
+
+
+def poles_words(poles: Iterable[complex]) -> str:
+    """Poles in a line, pairs with ±, those alike to three figures counted."""
+    count: dict[str, int] = {}
+    for value in poles:
+        z = complex(value)
+        if z.imag >= -1e-9 * abs(z):
+            word = written(z.real) if abs(z.imag) <= 1e-4 * abs(z) else f"{written(z.real)} ± {written(abs(z.imag))}j"
+            count[word] = count.get(word, 0) + 1
+    return ",  ".join(word if some == 1 else f"{word} (×{some})" for word, some in count.items())
 
 
 def _scope() -> Scope:

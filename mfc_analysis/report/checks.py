@@ -36,5 +36,10 @@ def _check(line: Line) -> Check:
         line.when,
         line.sense,
         infinite=_INFINITE.get(line.name, "infinite"),
-        undefined="unstable" if line.status == "FAIL" else "not defined",
+        undefined="neutral" if _neutral(line) else "unstable" if line.status == "FAIL" else "not defined",
     )
+
+
+def _neutral(line: Line) -> bool:
+    """Whether nothing is defined because every root is at zero."""
+    return "at zero" in line.note or line.note.startswith("neutral")

@@ -72,13 +72,15 @@ def three_numbers(view: View) -> KeyFacts:
     value = Number(root.value, "1/s", infinite="no root that moves", undefined="none")
     if np.isneginf(root.value):
         value = Number(0.0, "1/s")
-    delay = Number(w.delay[0] * 1e3, "ms", infinite="any delay", undefined="unstable")
-    phase = Number(w.phase_deg[0], "°", infinite="no crossover", undefined="unstable")
+    known = 1.0 if view.stable else np.nan  # a margin somewhere on an unstable path is none
+    without = "none: no feedback" if not view.fed_back.any() else "unstable"
+    delay = Number(known * w.delay[0] * 1e3, "ms", infinite="any delay", undefined=without)
+    phase = Number(known * w.phase_deg[0], "°", infinite="no crossover", undefined=without)
     return KeyFacts(
         (
             Fact("Slowest root", value, "every root is at zero" if np.isneginf(root.value) else place_words(root.where, root.when or 0.0, m)),
-            Fact("Phase margin", phase, place_words(w.phase_deg[2], w.phase_deg[1], m) if np.isfinite(w.phase_deg[0]) else ""),
-            Fact("Delay margin", delay, place_words(w.delay[2], w.delay[1], m) if np.isfinite(w.delay[0]) else ""),
+            Fact("Phase margin", phase, place_words(w.phase_deg[2], w.phase_deg[1], m) if np.isfinite(phase.value) else ""),
+            Fact("Delay margin", delay, place_words(w.delay[2], w.delay[1], m) if np.isfinite(delay.value) else ""),
         )
     )
 
@@ -235,14 +237,14 @@ def step_words(run: StepRun) -> str:
     return f"{first}; the nonlinear run is never farther from it than {written(100 * run.misfit)} % of the step"
 
 
-def history(view: View) -> Figure | None:
-    """Margins along the path with the limits asked; None for a single time, or where nothing is fed back."""
+def history(view: View, most: int = 4) -> Figure | None:
+    """Up to ``most`` margins along the path with the limits asked; None for a single time, or where nothing is fed back."""
     if len(view.times) < 2 or not view.fed_back.any():
         return None
     m, asked = view.margins, view.requirements.asked()
     w = m.worst()
     said = str(w) if view.stable else f"unstable at {int((~view.evidence.judged).sum())} of {len(view.times)} times"
-    figures = tuple(f for f in ("phase_deg", "gain_reduction_db", "gain_increase_db", "delay", "sensitivity_peak") if _worth(m, f))[:4] or ("phase_deg",)
+    figures = tuple(f for f in ("phase_deg", "gain_reduction_db", "gain_increase_db", "delay", "sensitivity_peak") if _worth(m, f))[:most] or ("phase_deg",)
     return Figure(
         partial(plots.margin_history, m, {k: v for k, v in asked.items() if k in _LIMITS}, figures=figures),
         f"Margins along the path, opened at “{view.point}”; dashed: what was asked; the ring marks the worst.",

@@ -139,12 +139,18 @@ class View:
         line, checks = self.verdict.worst, self.checks
         if self.verdict.status == "PASS":
             asked = len(checks)
-            lead = "stable along the whole path" if asked == 1 else f"all {asked} limits are met"
-            return f"{self.name}: {lead}; {self.tightest()}."
+            lead = "Stable along the whole path" if asked == 1 else f"All {asked} limits are met"
+            return f"{lead}; {self.tightest()}."
         said = checks[0]
         place = f" ({said.place})" if said.place else ""
         note = f": {line.note}" if line.note else ""
-        return f"{self.name}: {said.name} is {said.value} where {said.limit} was asked{place}{note}."
+        name = said.name[:1].upper() + said.name[1:]
+        if np.isnan(line.found):
+            return f"{name}: {said.value}{place}{note}."
+        if line.name == "stable":
+            word = "Not stable" if line.status == "FAIL" else "Stable, with a reservation"
+            return f"{word}: the rightmost root is at {said.value}{place}{note}."
+        return f"{name} is {said.value} where {said.limit} was asked{place}{note}."
 
     def tightest(self) -> str:
         """The margins at the worst place, in words."""

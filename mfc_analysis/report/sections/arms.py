@@ -57,7 +57,7 @@ def arms() -> tuple[Arm, ...]:
     return (
         Arm("single joint", joint, joint, Quintic([-0.4], [1.2], 2.0), 8.0),
         Arm("planar 2R", planar, planar, Quintic([-1.0, 1.6], [0.2, 0.5], 2.0), 8.0),
-        Arm("UR5 + 2 kg unknown", bare.with_payload(PAYLOAD), bare, Quintic(start, start + move, 2.0), 8.0),
+        Arm("UR5 + 2 kg", bare.with_payload(PAYLOAD), bare, Quintic(start, start + move, 2.0), 8.0),
     )
 
 
@@ -100,7 +100,7 @@ class Designs:
 
     def view(self, equation: str, arm: Arm) -> View:
         """The loop as a report sees it."""
-        return View(f"{NAMES[equation]} on {arm.name}", self.loop(equation, arm), arm.times, LIMITS)
+        return View(f"{NAMES[equation]}, {arm.name}", self.loop(equation, arm), arm.times, LIMITS)
 
 
 #: equation -> how its loops are called

@@ -92,8 +92,8 @@ def _section(equation: str, what: str, arm: Arm, printed: Form, standard: Form, 
         f"The nonlinear {arm.name} on its path from {written(OFFSET, exact=True)} rad off it: largest error {written(standard.largest)} rad in the standard form, {written(printed.largest)} rad as printed.",
         f"Errors of both forms of {equation}: at most {written(standard.largest)} rad (standard) and {written(printed.largest)} rad (printed).",
     )
-    body = (Paragraph(what), compare, figure, *((Paragraph(more),) if more else ()))
-    return Section(f"{equation} on the {arm.name}", cost, body, numbers={"printed": printed.numbers(), "standard": standard.numbers()}, sources=("chapter, eq. " + equation, *standard.view.loop.law.sources), key=f"misprint-{equation}")
+    body = (compare, figure, *((Paragraph(more),) if more else ()))
+    return Section(f"{equation} on the {arm.name}", what, body, numbers={"printed": printed.numbers(), "standard": standard.numbers()}, sources=("chapter, eq. " + equation, *standard.view.loop.law.sources), key=f"misprint-{equation}")
 
 
 def _side(form: Form) -> Side:

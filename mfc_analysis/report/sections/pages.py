@@ -17,6 +17,7 @@ COMPARED = 1.0  #: [s] of the comparison with the nonlinear loop
 
 def loop_page(
     view: View,
+    title: str = "",
     *,
     shown: str = "",
     path: bool = False,
@@ -31,12 +32,12 @@ def loop_page(
     """The section of one loop.
 
     Args:
-        shown: why a loop that is not for use stands here; its verdict is told and not counted.
+        title: of the section; omitted: the loop's name. shown: why a loop that is not for use stands here; its verdict is told and not counted.
         path: margins along the path; moving: the scrubber; frequency: Bode and poles; compare: the nonlinear loop.
         finding: the answer; omitted: made from the verdict. before, after: blocks around the figures. more: numbers for JSON.
     """
     body: list[Block] = [blocks.three_numbers(view), *before]
-    notes = [line.note for line in view.verdict.lines if line.note and line.name in ("stable", "residual")]
+    notes = [line.note for line in view.verdict.lines if line.note and line.name in ("stable", "residual") and line is not view.verdict.worst]
     if notes:
         body.append(Bullets(tuple(x[:1].upper() + x[1:] + "." for x in notes)))
     if frequency:
@@ -46,7 +47,7 @@ def loop_page(
             body.append(Row((first.figures[0], blocks.pole_map(view))))
         else:
             body += [*rows, Row((blocks.pole_map(view),))]
-    if path and (figure := blocks.history(view)) is not None:
+    if path and (figure := blocks.history(view, most=3)) is not None:
         body.append(figure)
     if moving and (scrubber := blocks.scrubber(view)) is not None:
         body.append(scrubber)
@@ -57,7 +58,7 @@ def loop_page(
     body += after
     law = view.loop.law
     return Section(
-        view.name,
+        title[:1].upper() + title[1:] or view.name,
         finding or view.summary(),
         tuple(body),
         view.checks,

@@ -68,7 +68,7 @@ def open_loop(designs: Designs) -> Section:
             f"and a disturbance of {written(DISTURBANCE, exact=True)} rad/s grows to {written(drift)} rad."
         )
         pages.append(
-            loop_page(view, shown="open loop", frequency=False, compare=False, finding=said, after=(figure,) if arm.robot.n == 1 else (), more={"error_change": change, "disturbance_error": drift})
+            loop_page(view, arm.name, shown="open loop", frequency=False, compare=False, finding=said, after=(figure,) if arm.robot.n == 1 else (), more={"error_change": change, "disturbance_error": drift})
         )
     table = Table(
         "Open loop on three arms: the error stays what it was, and a disturbance integrates.",
@@ -87,7 +87,7 @@ def proportional(designs: Designs) -> Section:
         lag = steady(designs, "9.2", arm, SLOPE, 0.0)
         m = view.margins
         rows.append((arm.name, Number(tracking(view)), Number(lag), Number(SLOPE / k), Number(float(m.delay.min()) * 1e3), Number(math.pi / (2 * k) * 1e3)))
-        pages.append(loop_page(view, frequency=arm.robot.n == 1, more={"ramp_error": lag, "ramp_error_theory": SLOPE / k, "delay_theory": math.pi / (2 * k), "tracking_error": tracking(view)}))
+        pages.append(loop_page(view, arm.name, frequency=arm.robot.n == 1, more={"ramp_error": lag, "ramp_error_theory": SLOPE / k, "delay_theory": math.pi / (2 * k), "tracking_error": tracking(view)}))
     table = Table(
         f"P control with k = {written(k, exact=True)} 1/s: simulated beside the closed forms v/k and π/(2k).",
         (Column("Arm", numeric=False), Column("Largest error on the path", "rad"), Column(f"Error on a ramp of {SLOPE} rad/s", "rad"), Column("v/k", "rad"), Column("Delay margin", "ms"), Column("π/(2k)", "ms")),
@@ -105,7 +105,7 @@ def integral(designs: Designs) -> Section:
     for arm, view in _views(designs, "9.3"):
         ramp, bend = steady(designs, "9.3", arm, SLOPE, 0.0), steady(designs, "9.3", arm, 0.0, BEND)
         rows.append((arm.name, Number(tracking(view)), Number(ramp), Number(bend), Number(BEND / ki)))
-        pages.append(loop_page(view, frequency=arm.robot.n == 1, more={"ramp_error": ramp, "parabola_error": bend, "parabola_theory": BEND / ki, "tracking_error": tracking(view)}))
+        pages.append(loop_page(view, arm.name, frequency=arm.robot.n == 1, more={"ramp_error": ramp, "parabola_error": bend, "parabola_theory": BEND / ki, "tracking_error": tracking(view)}))
     table = Table(
         f"PI control with kp = {written(kp, exact=True)} 1/s, ki = {written(ki, exact=True)} 1/s²: after {written(SETTLED, exact=True)} s on a ramp of {SLOPE} rad/s and a parabola of {BEND} rad/s².",
         (Column("Arm", numeric=False), Column("Largest error on the path", "rad"), Column("Ramp", "rad"), Column("Parabola", "rad"), Column("a/ki", "rad")),
@@ -122,7 +122,7 @@ def feedforward(designs: Designs) -> Section:
     worst: dict[str, dict[str, float]] = {}
     for arm, view in _views(designs, "9.4"):
         worst[arm.name] = {"9.4": tracking(view)}
-        pages.append(loop_page(view, frequency=arm.robot.n == 1, path=False, more={"tracking_error": worst[arm.name]["9.4"]}))
+        pages.append(loop_page(view, arm.name, frequency=arm.robot.n == 1, path=False, more={"tracking_error": worst[arm.name]["9.4"]}))
         for equation in ("9.2", "9.3"):
             worst[arm.name][equation] = tracking(designs.view(equation, arm))
     rows = tuple((name, *(Number(found[e]) for e in ("9.2", "9.3", "9.4"))) for name, found in worst.items())
