@@ -107,6 +107,16 @@ class Linearization:
             out = sampled(out, self.dt)
         return out
 
+    def _opened_for(self, *at: str | None) -> OpenSystem:
+        """``opened``; for the encoder in state coordinates, where the rate wire is the derivative of the position wire."""
+        if "position" in at and self.coordinates == "error" and not self.dt:
+            return self._opened_in_state
+        return self.opened
+
+    @cached_property
+    def _opened_in_state(self) -> OpenSystem:
+        return open_system(self.equations, self.times, self.point.x, "state")
+
     @property
     def state_names(self) -> tuple[str, ...]:
         """nx names; with a sample time they include the samples under way."""
@@ -184,7 +194,7 @@ class Linearization:
         from mfc_analysis.analysis.channels import channels
 
         at = self._at(at)
-        found = channels(self.opened.at(slice(self._index(index), self._index(index) + 1)), at)
+        found = channels(self._opened_for(at).at(slice(self._index(index), self._index(index) + 1)), at)
         names = tuple(found.names)
         j = self._channel(channel, names)
         A, b, c = found.A[0], found.B[0][:, j], found.C[0][j]
@@ -200,14 +210,14 @@ class Linearization:
         """One-loop-at-a-time margins at ``at``, the others closed: (m, n) figures. Raises UnknownPoint."""
         from mfc_analysis.analysis.margins import margins
 
-        return margins(self.opened, self._at(at))
+        return margins(self._opened_for(at), self._at(at))
 
     def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None) -> DiskMargin:
         """Disk margin of all loops at once (m,), at one point or several together. Raises UnknownPoint."""
         from mfc_analysis.analysis.disk import disk_margin
 
         points = self._at(at) if at is None or isinstance(at, str) else tuple(at)
-        return disk_margin(self.opened, points, None if frequencies is None else checks.array("frequencies", frequencies, (None,)))
+        return disk_margin(self._opened_for(*([points] if isinstance(points, str) else points)), points, None if frequencies is None else checks.array("frequencies", frequencies, (None,)))
 
     def frequency_response(self, frequencies: ArrayLike, at: str | None = None) -> NDArray[np.complex128]:
         """(m, n, nf) loop transfers L_i(j w) at w [rad/s], each broken alone; dead time included. Raises UnknownPoint."""
@@ -216,7 +226,7 @@ class Linearization:
         w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies >= 0 [rad/s]")
         if np.any(w < 0):
             raise BadArgument("frequencies", frequencies, "finite frequencies >= 0 [rad/s]")
-        return frequency_response(self.opened, w, self._at(at))
+        return frequency_response(self._opened_for(at), w, self._at(at))
 
     def step(self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None) -> Step:
         """Unit step response of the closed loop at one time, with its figures. Raises UnknownName."""
