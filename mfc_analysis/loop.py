@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.environment import Environment
 from mfc_analysis.equations import Equations, refuse_what_does_not_apply
-from mfc_analysis.errors import BadArgument, Unsupported
+from mfc_analysis.errors import BadArgument, MfcWarning, Unsupported
 from mfc_analysis.hardware import Hardware
 from mfc_analysis.jacobians import Coordinates, closed_matrix
 from mfc_analysis.laws.law import Law
