@@ -88,8 +88,8 @@ def invariance_section() -> Section:
     )
     body = (
         Paragraph(
-            "Twists and wrenches transform differently, so their product means work in every frame; a product of two twists, or of two wrenches, depends "
-            "on the frame and on the unit of length. The page puts V in SO(3) and F in its dual; they live in se(3) and se*(3)."
+            "Twists and wrenches transform differently, so their product means work in every frame; a product of two twists, or of two wrenches, "
+            "depends on the frame and on the unit of length. The page puts V in SO(3) and F in its dual; they live in se(3) and se*(3)."
         ),
         Table(
             "The same peg in a hole, A in a tool frame that is not the compliance frame.",

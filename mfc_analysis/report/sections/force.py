@@ -254,7 +254,7 @@ def free_space_section() -> Section:
         Callout(
             Status.INFO,
             "What this shows",
-            "A demonstration of the chapter's warning. These loops are not meant to be run like this: nothing here passes or fails but the closed forms.",
+            "A demonstration of the chapter's warning. These loops are not meant to be run like this: only the closed forms pass or fail.",
         ),
     )
     checks = (

@@ -139,7 +139,8 @@ def damping_section() -> Section:
             title="9.24 without and with damping",
         ),
         "Rightmost root that is not at zero over the stiffness of the wall.",
-        f"Rightmost root over stiffness: {bare.min():.3g} to {bare.max():.3g} per second without damping, {repaired.min():.3g} to {repaired.max():.3g} with it.",
+        f"Rightmost root over stiffness: {bare.min():.3g} to {bare.max():.3g} per second without damping, "
+        f"{repaired.min():.3g} to {repaired.max():.3g} with it.",
     )
     body = (
         Equation(
@@ -263,7 +264,7 @@ def leak_section() -> Section:
     index = (0, 1, 3, 4, 5)
     rows = tuple((name, 1e3 * float(along[i]), 1e3 * float(predicted[i])) for name, i in zip(names, index, strict=True))
     columns = (Column("Direction", numeric=False), Column("at rest"), Column("by the leak"))
-    body = (
+    body: tuple[Block, ...] = (
         Equation(
             'Lambda^(-1) P Lambda c != 0 quad "for" quad c = A^top', "the leak: an acceleration commanded across the constraint comes out along it"
         ),

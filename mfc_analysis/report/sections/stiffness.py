@@ -224,7 +224,7 @@ def arm_section() -> Section:
         Callout(
             Status.INFO,
             "Why hard surfaces chatter",
-            "Torque that arrives late pushes along with the velocity once the contact resonates faster than the lag; the ideal loop has no phase to lose.",
+            "Torque that arrives late pushes along with the velocity once the contact resonates faster than the lag; an ideal loop loses no phase.",
         ),
     )
     numbers = {

@@ -176,7 +176,7 @@ def joint_path_section() -> Section:
     run = loop.simulate(t)
     finding = (
         f"The joint path gives back the tool's pose to {written(missed['pose'], 2)}, its twist to {written(missed['twist'], 2)} and the rate of "
-        f"its twist to {written(missed['rate of twist'], 2)}; 9.10 on it, a law in joint space, leaves {written(float(np.abs(run.error).max()), 2)} rad."
+        f"its twist to {written(missed['rate of twist'], 2)}; 9.10 on it, in joint space, leaves {written(float(np.abs(run.error).max()), 2)} rad."
     )
     names = arm().joint_names
     figure = Figure(
@@ -211,8 +211,8 @@ def dynamics_section() -> Section:
     away = float(np.abs(tau - wanted).max())
     weight = np.linalg.eigvalsh(Lambda[:, :3, :3])
     finding = (
-        f"Along the path both forms ask for the same torques to {written(away, 2)} of up to {written(float(np.abs(wanted).max()))} Nm; seen from the tool "
-        f"the arm weighs between {written(float(weight.min()))} and {written(float(weight.max()))} kg, according to direction."
+        f"Along the path both forms ask for the same torques to {written(away, 2)} of up to {written(float(np.abs(wanted).max()))} Nm; seen from "
+        f"the tool the arm weighs between {written(float(weight.min()))} and {written(float(weight.max()))} kg, according to direction."
     )
     body = (
         Equation(
@@ -247,8 +247,8 @@ def torque_section() -> Section:
     at = {point: lin.margins(point) for point in ("torque", "command")}
     worst = {point: m.worst().phase_deg for point, m in at.items()}
     finding = (
-        f"With an exact model the error is six copies of the design polynomial to {written(away, 2)} at all {len(t)} times of the path; with 2 kg that "
-        f"the controller does not know and a torque lag of 2 ms the least phase margin is {written(worst['torque'][0])}° at the torques and "
+        f"With an exact model the error is six copies of the design polynomial to {written(away, 2)} at all {len(t)} times of the path; with 2 kg "
+        f"that the controller does not know and a torque lag of 2 ms the least phase margin is {written(worst['torque'][0])}° at the torques and "
         f"{written(worst['command'][0])}° at the command."
     )
     i = int(np.argmin(np.abs(t - worst["torque"][1])))
@@ -256,7 +256,11 @@ def torque_section() -> Section:
     columns = (Column("Opened at", numeric=False), Column("phase", "°"), Column("gain down", "dB"), Column("delay", "ms"), Column("peak Ms"))
     rows = tuple(
         (
-            point, Number(float(m.phase_deg.min())), Number(float(m.gain_reduction_db.min())), Number(1e3 * float(m.delay.min())), Number(float(m.sensitivity_peak.max())),
+            point,
+            Number(float(m.phase_deg.min())),
+            Number(float(m.gain_reduction_db.min())),
+            Number(1e3 * float(m.delay.min())),
+            Number(float(m.sensitivity_peak.max())),
         )
         for point, m in at.items()
     )  # fmt: skip
