@@ -1,0 +1,272 @@
+"""Runs every code block of README.md and of docs/*.md, then builds the site into build/site with warnings as errors.
+
+    python docs/build.py                 everything
+    python docs/build.py docs/start.md   the blocks of these pages, no site
+
+What a block is:
+
+- ``python``: executed; the blocks of a page share one namespace, and a page has a process and a working folder of its own. Warnings of
+  the package are errors. A first line ``# file: NAME`` writes the block into the working folder instead.
+- ``toml``: with a first line ``# file: NAME`` written into the working folder.
+- ``console``: lines after ``$``. ``mfc-analysis`` and ``pytest`` are run; ``exit code N`` in a comment says what they return (0 if not said).
+- ``text`` right after a python block, or the lines after a command: what was printed. Words must agree, numbers to one unit of the last
+  digit shown; a line ``...`` stands for any lines.
+
+``arm.urdf`` (a UR5) and ``study.toml`` (what ``mfc-analysis init`` makes of it) are in every working folder. mkdocs loads this file as a
+hook: it fills in benchmarks/results.md where a page says ``<!-- include: FILE -->``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import linecache
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+SITE = ROOT / "build" / "site"
+LONGEST = 120  #: [s] that a page's blocks may take
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+NOT_RUN = ("python3", "pip", "git", "mfc-analysis report")  #: installing is not a page's business; the chapter's report has tests of its own
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page."""
+
+    kind: str  #: python, console, text, toml...
+    line: int  #: of its first line, from 1
+    text: str
+    shown: str | None = None  #: what the page says it prints
+
+    @property
+    def file(self) -> str | None:
+        """The name of the file that it is, where its first line says so."""
+        found = re.match(r"#\s*file:\s*(\S+)", self.text)
+        return found[1] if found else None
+
+
+class Wrong(Exception):
+    """A block that does not do what its page says."""
+
+
+def blocks(page: Path) -> list[Block]:
+    """The fenced blocks of a page, ``text`` joined to the python block before it."""
+    out: list[Block] = []
+    lines = page.read_text(encoding="utf-8").splitlines()
+    i, adjacent = 0, False
+    while i < len(lines):
+        fence = re.match(r"```(\w*)\s*$", lines[i])
+        if not fence:
+            adjacent = adjacent and not lines[i].strip()
+            i += 1
+            continue
+        end = next((k for k in range(i + 1, len(lines)) if lines[k].rstrip() == "```"), None)
+        if end is None:
+            raise Wrong(f"{page.name}:{i + 1}: a fence that never closes")
+        block = Block(fence[1], i + 2, "\n".join(lines[i + 1 : end]) + "\n")
+        if block.kind == "text" and adjacent and out[-1].kind == "python":
+            last = out[-1]
+            out[-1] = Block(last.kind, last.line, last.text, block.text)
+        else:
+            out.append(block)
+        i, adjacent = end + 1, True
+    return out
+
+
+# --- what was printed against what is shown ------------------------------------------------------------------------------
+
+
+def agree(shown: str, printed: str) -> bool:
+    """Whether the printed text is the one shown: the same words, the same numbers to one unit of the last digit shown."""
+    want, got = ([line.rstrip() for line in text.strip("\n").splitlines()] for text in (shown, printed))
+    return _lines_agree(want, got)
+
+
+def _lines_agree(want: list[str], got: list[str]) -> bool:
+    for k, line in enumerate(want):
+        if line.strip() == "...":
+            return any(_lines_agree(want[k + 1 :], got[j:]) for j in range(k, len(got) + 1))
+        if k >= len(got) or not _line_agrees(line, got[k]):
+            return False
+    return len(want) == len(got)
+
+
+def _line_agrees(want: str, got: str) -> bool:
+    if NUMBER.split(want) != NUMBER.split(got):
+        return " ".join(want.split()) == " ".join(got.split())
+    return all(_same(a, b) for a, b in zip_longest(NUMBER.findall(want), NUMBER.findall(got), fillvalue=""))
+
+
+def _same(want: str, got: str) -> bool:
+    mantissa, _, exponent = want.lower().partition("e")
+    places = len(mantissa.partition(".")[2])
+    unit = 10.0 ** (int(exponent or 0) - places) if "." in mantissa else 0.0
+    return abs(float(want) - float(got)) <= 1.01 * unit
+
+
+# --- running a page (in a process of its own) ----------------------------------------------------------------------------
+
+
+def run_page(page: Path) -> int:
+    """Runs the blocks of a page in the current folder; returns how many. Raises Wrong."""
+    warnings.filterwarnings("error", module=r"mfc_analysis\b")
+    names: dict[str, Any] = {"__name__": page.stem}
+    count = 0
+    for block in blocks(page):
+        if block.file is not None:
+            Path(block.file).write_text(block.text, encoding="utf-8")
+        elif block.kind == "python":
+            _run_python(page, block, names)
+        elif block.kind == "console":
+            _run_console(page, block)
+        else:
+            continue
+        count += 1
+    return count
+
+
+def _run_python(page: Path, block: Block, names: dict[str, Any]) -> None:
+    from mfc_analysis.errors import MfcWarning
+
+    name = f"{page.name}"
+    text = "\n" * (block.line - 1) + block.text
+    linecache.cache[name] = (len(text), None, page.read_text(encoding="utf-8").splitlines(True), name)
+    printed = io.StringIO()
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stdout(printed):
+            warnings.simplefilter("error", MfcWarning)
+            exec(compile(text, name, "exec"), names)
+    except BaseException as why:  # whatever it is, the page is wrong
+        raise Wrong(f"{name}:{block.line}: {''.join(traceback.format_exception(why)[-4:])}") from why
+    if block.shown is not None and not agree(block.shown, printed.getvalue()):
+        raise Wrong(f"{name}:{block.line}: the page shows\n{block.shown}but the block prints\n{printed.getvalue()}")
+
+
+def _run_console(page: Path, block: Block) -> None:
+    commands: list[tuple[int, str, list[str]]] = []
+    for k, line in enumerate(block.text.splitlines()):
+        if line.startswith("$ "):
+            commands.append((block.line + k, line[2:], []))
+        elif commands:
+            commands[-1][2].append(line)
+    for line, command, shown in commands:
+        words = shlex.split(command, comments=True)
+        if command.startswith(NOT_RUN) and " study.toml" not in command:
+            continue
+        if words[0] not in ("mfc-analysis", "pytest"):
+            raise Wrong(f"{page.name}:{line}: {command}: neither run nor known as one that isn't")
+        if words[0] == "pytest" and find_spec("pytest") is None:
+            print(f"{page.name}:{line}: not run: pytest is not installed")
+            continue
+        code = re.search(r"#.*?exit code (\d)", command)
+        start = [sys.executable, "-m", "mfc_analysis" if words[0] == "mfc-analysis" else "pytest"]
+        done = subprocess.run([*start, *words[1:]], stdin=subprocess.DEVNULL, capture_output=True, text=True, encoding="utf-8")
+        said = done.stdout + done.stderr
+        if done.returncode != int(code[1] if code else 0):
+            raise Wrong(f"{page.name}:{line}: {command}: exit code {done.returncode}\n{said}")
+        if shown and not agree("\n".join(shown), said):
+            raise Wrong(f"{page.name}:{line}: {command}: the page shows\n" + "\n".join(shown) + f"\nbut it prints\n{said}")
+
+
+def checked(page: Path) -> str | None:
+    """Runs a page in a process and a folder of its own; returns what is wrong, None if nothing is."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("arm.urdf", "study.toml"):
+            (Path(folder) / name).write_bytes((_prepared() / name).read_bytes())
+        try:
+            done = subprocess.run(
+                [sys.executable, str(Path(__file__).resolve()), "--here", str(page.resolve())],
+                cwd=folder, env=_environment(), capture_output=True, text=True, encoding="utf-8", timeout=LONGEST,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return f"{page.name}: its blocks take longer than {LONGEST} s"
+    return None if done.returncode == 0 else f"{done.stdout}{done.stderr}"
+
+
+_made: list[tempfile.TemporaryDirectory[str]] = []
+
+
+def _prepared() -> Path:
+    """A folder with what every working folder starts with."""
+    if not _made:
+        from mfc_analysis.robots.catalogue import ur5_urdf
+        from mfc_analysis.study_init import write
+
+        _made.append(tempfile.TemporaryDirectory())
+        folder = Path(_made[0].name)
+        (folder / "arm.urdf").write_text(ur5_urdf(), encoding="utf-8")
+        write(str(folder / "arm.urdf"), folder / "study.toml")
+    return Path(_made[0].name)
+
+
+def _environment() -> dict[str, str]:
+    paths = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    set_ = {"PYTHONPATH": paths, "PYTHONUTF8": "1", "MPLBACKEND": "Agg", "COLUMNS": "120", "NO_COLOR": "1", "TERM": "dumb"}
+    return {**os.environ, **set_, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+# --- the site --------------------------------------------------------------------------------------------------------------
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """mkdocs hook: ``<!-- include: FILE -->`` becomes the file's text where it exists, a sentence where it doesn't."""
+
+    def included(found: re.Match[str]) -> str:
+        path = ROOT / found[1]
+        return path.read_text(encoding="utf-8") if path.exists() else f"*{found[1]} has not been written on this machine yet.*"
+
+    return re.sub(r"<!-- include: (\S+) -->", included, markdown)
+
+
+def build_site() -> int:
+    """mkdocs with warnings as errors; returns its exit code."""
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean", "--quiet", "-f", str(ROOT / "mkdocs.yml"), "-d", str(SITE)]
+    return subprocess.run(command, cwd=ROOT, env=_environment()).returncode
+
+
+def main() -> int:
+    """Checks the pages, then builds the site; returns the exit code."""
+    takes = argparse.ArgumentParser(description="Runs the code blocks of the documentation and builds the site.")
+    takes.add_argument("pages", nargs="*", type=Path, help="pages to check (default: README.md and docs/*.md, and then the site)")
+    takes.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
+    asked = takes.parse_args()
+    if asked.here:
+        try:
+            run_page(asked.pages[0])
+        except Wrong as why:
+            print(why)
+            return 1
+        return 0
+    wrong = 0
+    for page in asked.pages or [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        start = time.perf_counter()
+        said = checked(page)
+        verdict, took = "ok   " if said is None else "WRONG", time.perf_counter() - start
+        print(f"{verdict} {page.name:<18} {len(blocks(page)):3d} blocks  {took:5.1f} s", flush=True)
+        if said is not None:
+            wrong += 1
+            print(said, flush=True)
+    if asked.pages:
+        return 1 if wrong else 0
+    site = build_site()
+    print("site: build/site" if site == 0 else f"site: mkdocs ended with {site}")
+    return 1 if wrong or site else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
