@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,23 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 STRIDE = 0.5  #: [rad, m] the longest way a joint of the first path goes
+
+BANDWIDTH = 10.0  #: [Hz] of the first gains
+
+MODEL = """\
+# What the controller believes, where it is not the plant itself:
+# [controller_model]
+# friction = "none"                        # it compensates none of the joints' viscous friction
+# payload = false
+# inertia_scale = 1.1"""
+
+MODEL_WITHOUT_FRICTION = """\
+# What the controller believes, where it is not the plant itself. The viscous friction of this arm outweighs the damping of the gains below:
+# compensated to the full, a few percent too much would make the loop unstable, so the controller leaves it alone.
+[controller_model]
+friction = "none"
+# payload = false
+# inertia_scale = 1.1"""
 
 TEMPLATE = """\
 # A study: a robot, a control law, a path, hardware, and what is asked of the loop.
@@ -36,20 +55,17 @@ q_start = {q_start}
 [robot]
 {source}
 tool = {tool}  # the frame that tool references and payloads mean
-# locked = ["finger_joint1"]               # joints to weld, at 0; or {{finger_joint1 = 0.04}}
+{locked}
 # gravity = [0, 0, -9.81]                  # in base axes
 # friction = "none"                        # drop the URDF's joint damping; or {{viscous = 0.5, coulomb = 1.0}}
 # payload = {{mass = 2.0, com = [0, 0, 0.05], inertia = 0.01}}
 
-# What the controller believes, where it is not the plant itself:
-# [controller_model]
-# payload = false
-# inertia_scale = 1.1
+{model}
 
 [law]
 # mfc-analysis laws lists them; 9.10 is computed torque: tau = M (a_d + kp e + ki z + kd e') + h
 equation = "9.10"
-gains = {{helper = "pid", bandwidth_hz = 10.0, damping = 1.0}}  # or kp = ..., ki = ..., kd = ... themselves
+gains = {{helper = "pid", bandwidth_hz = {bandwidth:g}, damping = 1.0}}  # or kp = ..., ki = ..., kd = ... themselves
 # form = "printed"                         # the equation as the page has it
 
 [reference]
@@ -58,8 +74,8 @@ kind = "Quintic"
 q1 = {q1}
 duration = {duration}
 
-[hardware]
-torque_lag = 0.002                         # [s]
+[hardware]                                 # none of it is on until it says so
+# torque_lag = 0.002                       # [s]
 # delay = 0.001                            # [s] of each commanded torque
 # sample_time = 0.001                      # [s]; the loop becomes discrete
 # velocity_filter = 0.001                  # [s]
@@ -92,8 +108,8 @@ sensitivity_peak = 2.0
 """
 
 
-def study_for(robot: Robot, source: str, file: str) -> str:
-    """The text of a study for a robot. ``source``: the line of its ``[robot]`` table that says where it comes from."""
+def study_for(robot: Robot, source: str, file: str, locked: Sequence[str] = ()) -> str:
+    """The text of a study for a robot. ``source``: the line of its ``[robot]`` table that says where it comes from; ``locked``: welded joints."""
     q0, q1, duration = first_path(robot)
     turns = np.abs(robot.jacobian(q0)[3:]).max(axis=0) > 1e-9
     return TEMPLATE.format(
@@ -103,10 +119,21 @@ def study_for(robot: Robot, source: str, file: str) -> str:
         units="rad" if turns.all() else "m" if not turns.any() else "rad, m",
         q_start=_list(q0),
         source=source,
+        locked=_locked(locked),
+        model=MODEL_WITHOUT_FRICTION if friction_rules(robot, q0, q1) else MODEL,
+        bandwidth=BANDWIDTH,
         tool=json.dumps(robot.tool, ensure_ascii=True),
         q1=_list(q1),
         duration=f"{duration:g}",
     )
+
+
+def friction_rules(robot: Robot, *poses: Array) -> bool:
+    """Whether the viscous friction of a joint outweighs the damping of the gains: a controller that compensates it has no margin left."""
+    from mfc_analysis import gains, hertz
+
+    kd = float(gains.pid(bandwidth=hertz(BANDWIDTH))["kd"])
+    return any(bool(np.any(robot.viscous > kd * np.diag(robot.mass(q)))) for q in poses)
 
 
 def first_path(robot: Robot) -> tuple[Array, Array, float]:
@@ -133,8 +160,9 @@ def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None
     """
     from mfc_analysis.gains_command import robot as robot_of
 
-    robot = robot_of(name, tool)
     is_file = bool(Path(name).suffix) or Path(name).exists()
+    locked = unmoving(name, tool) if is_file else ()
+    robot = _arm(name, tool, locked) if is_file else robot_of(name, tool)
     stem = Path(name).stem if is_file else name
     target = Path(out) if out is not None else Path(f"{stem}.toml")
     if target.exists() and not overwrite:
@@ -148,8 +176,42 @@ def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None
     else:
         source = f"name = {json.dumps(name)}"
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(study_for(robot, source, target.name), encoding="utf-8")
+    target.write_text(study_for(robot, source, target.name, locked), encoding="utf-8")
     return target
+
+
+def unmoving(urdf: str | os.PathLike[str], tool: str | None) -> tuple[str, ...]:
+    """The joints of a URDF that do not move the tool, such as fingers; with no tool named, those that mimic another."""
+    from mfc_analysis.robots.urdf import checked_urdf, read_urdf
+
+    text, mimic = checked_urdf(read_urdf(Path(urdf)))
+    joints = {str(j.get("name")): j for j in ElementTree.fromstring(text).findall("joint")}
+    if tool is None:
+        return mimic
+    above = {str(j.find("child").get("link")): name for name, j in joints.items()}  # type: ignore[union-attr]
+    link = str(joints[tool].find("child").get("link")) if tool in joints and tool not in above else tool  # type: ignore[union-attr]
+    chain = set()
+    while link in above:
+        chain.add(above[link])
+        link = str(joints[above[link]].find("parent").get("link"))  # type: ignore[union-attr]
+    return tuple(name for name, j in joints.items() if j.get("type") != "fixed" and name not in chain) if chain else mimic
+
+
+def _arm(urdf: str, tool: str | None, locked: Sequence[str]) -> Robot:
+    from mfc_analysis.robots import Robot
+
+    try:
+        return Robot.from_urdf(Path(urdf), tool=tool, locked=list(locked))
+    except BadArgument as why:
+        if why.argument == "tool" and tool is None:
+            raise BadArgument("--tool", None, f"{why.takes}; the joints that do not move it are locked") from why
+        raise
+
+
+def _locked(names: Sequence[str]) -> str:
+    if names:
+        return f"locked = {json.dumps(list(names))}  # welded at 0; or {{ name = 0.04 }}"
+    return '# locked = ["finger_joint1"]               # joints to weld, at 0; or { finger_joint1 = 0.04 }'
 
 
 def _list(values: Array) -> str:

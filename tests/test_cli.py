@@ -206,6 +206,21 @@ def test_init_knows_the_embedded_robots(tmp_path, robot):
     assert run("check", path).exit_code == 0
 
 
+def test_init_locks_what_does_not_move_the_tool_and_asks_for_the_tool_where_it_is_not_plain(tmp_path):
+    finger = """<joint name="f{0}" type="prismatic"><parent link="hand"/><child link="finger{0}"/><axis xyz="0 1 0"/>{1}
+    <limit lower="0" upper="0.04" effort="5" velocity="1"/></joint>
+    <link name="finger{0}"><inertial><mass value="0.01"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+    arm = URDF.replace("{name}", "arm").replace("{joint}", "turn")
+    arm = arm.replace("</robot>", finger.format(1, "") + finger.format(2, '<mimic joint="f1"/>') + "</robot>")
+    (tmp_path / "arm.urdf").write_text(arm)
+    assert run("init", tmp_path / "arm.urdf", "--out", tmp_path / "s.toml", "--tool", "hand").exit_code == 0
+    assert 'locked = ["f1", "f2"]' in (tmp_path / "s.toml").read_text()
+    assert run("check", tmp_path / "s.toml").exit_code == 0
+    (tmp_path / "open.urdf").write_text(arm.replace('<mimic joint="f1"/>', ""))
+    done = run("init", tmp_path / "open.urdf", "--out", tmp_path / "t.toml")
+    assert done.exit_code == 2 and "--tool" in done.stderr and "'finger1', 'finger2'" in done.stderr
+
+
 def test_init_of_what_is_no_robot_is_bad_input(tmp_path):
     (tmp_path / "bad.urdf").write_text("<robot")
     for robot in (tmp_path / "bad.urdf", tmp_path / "none.urdf", "no_such_robot"):
