@@ -103,7 +103,8 @@ def run_sampled(run: _Run, asked: Array, x0: Array) -> None:
     whole, rest = int(np.floor(delay / T + 1e-9)), 0.0
     rest = delay - whole * T if delay - whole * T > 1e-9 * T else 0.0
     run.arrived = lambda t: sent[min(max(int(np.floor((t - start - delay) / T + 1e-9)), 0), len(sent) - 1)]
-    for k in range(int(np.ceil((end - start) / T - 1e-9))):
+    count = int(np.ceil((end - start) / T - 1e-9))
+    for k in range(count):
         t = start + k * T
         s = e.split(x)
         read = e.split(run.path.at(max(t - force_delay, start))) if force_delay else s
@@ -126,6 +127,8 @@ def run_sampled(run: _Run, asked: Array, x0: Array) -> None:
                 return
             x = moved
         x[own] = own_next
+    if start + count * T - end < 1e-9 * T:  # the run ends at a sampling instant: the law's own states have moved on
+        run.path.add(end, lambda t: x)
 
 
 def _held_rates(run: _Run, held: Array) -> Callable[[float, Array], Array]:

@@ -115,7 +115,8 @@ class _Path:
     def at(self, t: float) -> Array:
         if t <= self.starts[0] or not self.pieces:
             return self.first
-        i = min(max(int(np.searchsorted(self.starts, t, side="left")) - 1, 0), len(self.pieces) - 1)
+        late = t + 1e-12 * max(1.0, abs(t))  # at a sampling instant: what the law holds after it
+        i = min(max(int(np.searchsorted(self.starts, late, side="right")) - 1, 0), len(self.pieces) - 1)
         return np.asarray(self.pieces[i](min(t, self.starts[i + 1])))
 
 
