@@ -10,6 +10,7 @@ import mfc_analysis as mfc
 from mfc_analysis import design
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.searches import Outcome, first_loss, scan
+from mfc_analysis.settling import settles
 
 T, M, KDAMP, KFP, KFI = 5e-3, 2.0, 40.0, 2.0, 3.0
 K_MAX = (KDAMP * (1 + KFP) - M * KFI) / (T * KFP * (1 + KFP))
@@ -143,12 +144,22 @@ def test_the_largest_dead_time_is_the_delay_margin_of_a_single_loop():
     assert float(design.max_delay(loop)) == pytest.approx(loop.linearize([0.0]).margins().delay[0, 0], rel=1e-5)
 
 
-def test_dead_time_limits_are_confirmed_by_simulation():
-    limit = float(design.max_delay(velocity_p()))
-    for factor, grows in ((0.97, False), (1.03, True)):
-        run = velocity_p(delay=factor * limit).simulate(np.linspace(0, 25, 400), initial_error=0.1)
-        early, late = np.abs(run.error[50:130]).max(), np.abs(run.error[-80:]).max()
-        assert (late > early) == grows
+CONFIRMED = {
+    "dead time": (design.max_delay, lambda x: velocity_p(delay=x), velocity_p, 60.0),
+    "sample time": (design.min_sample_rate, lambda x: velocity_p(sample_time=1 / x), velocity_p, 60.0),
+    "payload": (design.max_payload, lambda x: pressing(mass=M + x, torque_lag=T), lambda: pressing(torque_lag=T), 25.0),
+    "stiffness": (design.max_stiffness, lambda x: pressing(stiffness=x, torque_lag=T), lambda: pressing(torque_lag=T), 4.0),
+}
+
+
+@pytest.mark.parametrize("name", CONFIRMED)
+def test_limits_are_confirmed_by_simulation_from_both_sides(name):
+    search, make, loop, duration = CONFIRMED[name]
+    limit = float(search(loop()))
+    better = 1.01 if name == "sample time" else 0.99
+    for factor, holds in ((better, True), (2 - better, False)):
+        run = make(factor * limit).simulate(np.linspace(0, duration, 3000), initial_error=1e-3)
+        assert settles(run.t, run.error) == holds
 
 
 def test_the_largest_payload_of_the_pressing_mass_is_the_closed_form():
