@@ -111,10 +111,16 @@ def init(
 @terminal.guarded
 def studies(
     copy: Annotated[Path | None, typer.Option(help="Copy them into this folder, to start from.")] = None,
+    keys: Annotated[bool, typer.Option("--keys", help="List every table that a study may have, and its keys.")] = False,
 ) -> None:
     """List the studies that ship with the package."""
     from mfc_analysis.study_files_folder import copied, shipped
 
+    if keys:
+        from mfc_analysis.study import keys as tables
+
+        terminal.pairs([(name, ", ".join(takes)) for name, takes in tables().items()])
+        return
     if copy is not None:
         terminal.say(*(str(path) for path in copied(copy)))
         return

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from mfc_analysis.errors import MfcError
-from mfc_analysis.study_schema import DECIDING, LoopTable, StudyTable
-from mfc_analysis.study_tables import REFERENCES, Table
+from mfc_analysis.study_schema import DECIDING, LoopTable, SpanTable, StudyTable
+from mfc_analysis.study_tables import REFERENCES, PoseTable, Table
 
 if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
@@ -226,6 +226,26 @@ def _tables_of(annotation: Any) -> list[type[Table]]:
     if isinstance(annotation, type) and issubclass(annotation, Table):
         return [annotation]
     return [found for part in get_args(annotation) for found in _tables_of(part)]
+
+
+def keys() -> dict[str, tuple[str, ...]]:
+    """Every table that a study may have, with the keys it takes; the kinds of ``reference`` one by one, poses and ranges once."""
+    shared: dict[type[Table], str] = {PoseTable: "(a pose)", SpanTable: "(a range)"}
+    out: dict[str, tuple[str, ...]] = {}
+
+    def add(name: str, table: type[Table]) -> None:
+        inner = {key: _tables_of(f.annotation) for key, f in table.model_fields.items()}
+        out[name] = tuple(inner)
+        for key, found in inner.items():
+            for one in found:
+                kind = next((f'{key}, kind = "{word}"' for word, table in REFERENCES.items() if table is one), key)
+                if one not in shared:
+                    add(kind if name == "study" else f"{name}.{kind}", one)
+
+    add("study", StudyTable)
+    for table, name in shared.items():
+        add(name, table)
+    return out
 
 
 def _has(raw: Any, key: str) -> bool:

@@ -232,6 +232,20 @@ def test_studies_lists_and_copies_what_ships(tmp_path):
     assert "UR5 with a payload" in run("studies").stdout
     assert run("studies", "--copy", tmp_path / "mine").exit_code == 0
     assert (tmp_path / "mine" / "ur5_payload.toml").is_file()
+    listed = run("studies", "--keys").stdout
+    for table, key in (("requirements", "disk_margin"), ("law", "kdamp"), ('reference, kind = "ToolCircle"', "radius"), ("(a pose)", "rpy_deg")):
+        assert re.search(rf"^{re.escape(table)} .*\b{key}\b", listed, re.MULTILINE)
+
+
+def test_the_chapter_is_written_into_the_folder_in_the_formats_asked_for(tmp_path, monkeypatch):
+    from mfc_analysis.report import chapter
+
+    seen = []
+    monkeypatch.setattr(chapter, "write_chapter", lambda folder, formats, progress: seen.append((folder, formats)) or {"json": folder / "chapter.json"})
+    done = run("report", "--out", tmp_path / "o", "--format", "json")
+    assert done.exit_code == 0 and done.stdout.strip() == str(tmp_path / "o" / "chapter.json")
+    assert run("report", "--out", tmp_path / "o").exit_code == 0
+    assert seen == [(tmp_path / "o", ("json",)), (tmp_path / "o", ("html", "pdf", "json"))]
 
 
 # --- gains, exercises, lists ---------------------------------------------------------------------------------------------
