@@ -241,7 +241,12 @@ def test_the_chapter_is_written_into_the_folder_in_the_formats_asked_for(tmp_pat
     from mfc_analysis.report import chapter
 
     seen = []
-    monkeypatch.setattr(chapter, "write_chapter", lambda folder, formats, progress: seen.append((folder, formats)) or {"json": folder / "chapter.json"})
+
+    def write_chapter(folder, formats, progress):
+        seen.append((folder, formats))
+        return {"json": folder / "chapter.json"}
+
+    monkeypatch.setattr(chapter, "write_chapter", write_chapter)
     done = run("report", "--out", tmp_path / "o", "--format", "json")
     assert done.exit_code == 0 and done.stdout.strip() == str(tmp_path / "o" / "chapter.json")
     assert run("report", "--out", tmp_path / "o").exit_code == 0
