@@ -1,13 +1,15 @@
 """Code that makes a loop again: a snippet to paste from a failed test, a report or a search. What it cannot say it says so.
 
-Embedded and catalogue robots are recognised by comparing them with a rebuilt one (payloads, friction, armature and scaling included);
-every other robot, law or reference that is not of this package becomes a line to fill in.
+Robots of a URDF file, embedded ones and those of the catalogue are recognised by comparing them with a rebuilt one (payloads, friction,
+armature and scaling included); every other robot, law or reference that is not of this package becomes a line to fill in.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -156,6 +158,11 @@ def _candidates(robot: Robot) -> list[tuple[str, Callable[[], Robot]]]:
     from mfc_analysis import robots
 
     out: list[tuple[str, Callable[[], Robot]]] = []
+    if robot.origin is not None:
+        path, given = robot.origin
+        default = {name: p.default for name, p in signature(Robot.from_urdf).parameters.items()}
+        shown = "".join(f", {name}={x!r}" for name, x in given.items() if x is not None and x != default.get(name))
+        out.append((f"mfc.Robot.from_urdf({_nearby(path)!r}{shown})", lambda: Robot.from_urdf(path, **given)))
     if robot.name == "slider" and robot.n == 1:
         mass = robot.total_mass - sum(p.mass for p in robot.payloads)
         out.append((f"mfc.robots.slider(mass={_short(mass)})", lambda: robots.slider(mass=_round(mass))))
@@ -169,6 +176,12 @@ def _candidates(robot: Robot) -> list[tuple[str, Callable[[], Robot]]]:
         out.append((f"mfc.robots.load({robot.name!r})", lambda: robots.load(robot.name)))
         out.append((f"mfc.robots.load({robot.name!r}, tool={robot.tool!r})", lambda: robots.load(robot.name, tool=robot.tool)))
     return out
+
+
+def _nearby(path: str) -> str:
+    """The path from the working folder, where it lies below it."""
+    whole, here = os.path.abspath(path), os.getcwd()
+    return os.path.relpath(whole, here) if whole.startswith(here + os.sep) else path
 
 
 def _single_joint(robot: Robot) -> dict[str, float]:

@@ -81,3 +81,23 @@ def test_a_path_too_long_to_print_is_named_as_what_is_missing():
     ref = mfc.trajectories.Waypoints(t, np.sin(t)[:, None] * np.ones(6))
     said = replay(mfc.ClosedLoop(mfc.robots.ur5(), mfc.laws.JointPID(40.0, kd=5.0), ref), [0.0])
     assert any("(200, 6)" in what for what in said.missing)
+
+
+def test_a_robot_of_a_file_is_read_from_it_again(tmp_path, monkeypatch):
+    (tmp_path / "arm.urdf").write_text(mfc.robots.catalogue.ur5_urdf().replace("8.393", "8.4"))
+    monkeypatch.chdir(tmp_path)
+    robot = mfc.Robot.from_urdf(tmp_path / "arm.urdf", tool="tool0", locked=["wrist_3_joint"]).with_payload(1.5)
+    loop = mfc.ClosedLoop(robot, mfc.laws.JointPID(40.0, kd=5.0), mfc.trajectories.Hold(Q[:5]))
+    said = replay(loop, [0.0], "A = loop.linearize(times).A")
+    assert said.missing == ()
+    assert "mfc.Robot.from_urdf('arm.urdf', tool='tool0', locked=['wrist_3_joint']).with_payload(1.5)" in said.code
+    assert_allclose(rerun(said.code)["A"], loop.linearize([0.0]).A, rtol=1e-9)
+
+
+def test_a_file_that_has_changed_since_is_not_claimed_to_be_the_robot(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(mfc.robots.catalogue.ur5_urdf())
+    robot = mfc.Robot.from_urdf(path, tool="tool0")
+    path.write_text(mfc.robots.catalogue.ur5_urdf().replace("2.275", "2.3"))
+    said = replay(mfc.ClosedLoop(robot, mfc.laws.JointPID(40.0, kd=5.0), mfc.trajectories.Hold(Q)))
+    assert "from_urdf" not in said.code

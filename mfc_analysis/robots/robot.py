@@ -73,6 +73,7 @@ class Robot:
     coulomb: Array  #: (n,) [N m or N]
     coulomb_speed: float = COULOMB_SPEED  #: [rad/s or m/s]
     payloads: tuple[Payload, ...] = field(default=())  #: already inside ``model``
+    origin: tuple[str, dict[str, Any]] | None = None  #: the file and arguments given to :meth:`from_urdf`, where a file was; for replays
 
     # --- made from -------------------------------------------------------------------------------------------------------
 
@@ -102,7 +103,11 @@ class Robot:
             model = pin.buildModelFromXML(text)
         except (ValueError, RuntimeError) as why:
             raise BadRobot("Pinocchio cannot read this URDF: its links and joints do not make a model") from why
-        return cls._from_model(model, tool, locked, joints, friction, gravity, mimic)
+        robot = cls._from_model(model, tool, locked, joints, friction, gravity, mimic)
+        if isinstance(source, str) and "<" in source:
+            return robot
+        given = {"tool": tool, "locked": locked, "joints": joints, "friction": friction, "gravity": tuple(np.asarray(gravity, float).tolist())}
+        return replace(robot, origin=(os.fspath(source), given))
 
     @classmethod
     def from_pinocchio(
