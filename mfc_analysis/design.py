@@ -189,8 +189,8 @@ def _bandwidth(bracket: Bracket, missed: Callable[[float], tuple[ClosedLoop, Lin
             count,
         )
     else:
-        slow = "" if bracket.before is None else f"{lower:.4g} rad/s" if bracket.before <= lower else f"{lower:.4g} to {bracket.before:.4g} rad/s"
-        notes = (f"the requirements are missed at {slow} as well",) if slow else ()
+        slow = "" if bracket.before is None else f"at {lower:.4g}" if bracket.before <= lower else f"from {lower:.4g} up to {bracket.before:.4g}"
+        notes = (f"the requirements are missed {slow} rad/s as well",) if slow else ()
         out = Bandwidth(bracket.holds, name, unit, bracket.outcome, said, missed(bracket.holds)[0], beyond, count, notes)
     out.binding = line
     return out
