@@ -78,6 +78,15 @@ class Limit(float):
         head = f"{self.name}: {float(self):.6g}{unit} ({self.evaluations} loops judged)"
         return "\n".join([head, f"  {self.binds or self.outcome.value}", *(f"  note: {note}" for note in self.notes)])
 
+    __repr__ = __str__
+
+    @property
+    def replay(self) -> str:
+        """Python code that makes the loop on the limit again."""
+        from mfc_analysis.replay import replay
+
+        return str(replay(self.loop))
+
 
 def scan(lower: float, upper: float, steps: int = STEPS) -> Array:
     """Values from ``lower`` to ``upper``, equally spaced on a logarithmic scale, ``steps`` a decade. Raises BadArgument."""

@@ -52,6 +52,8 @@ class WorstCase:
         lost = f"; {len(self.failed)} cases could not be judged" if self.failed else ""
         return f"worst case of {self.evaluations}: {head} at {case} ({place}){lost}"
 
+    __repr__ = __str__
+
 
 @dataclass(frozen=True)
 class _Score:

@@ -222,6 +222,13 @@ def test_results_are_floats_that_say_what_binds_and_pickle():
     assert float(again) == float(found) and str(again) == str(found) and "3800 N/m" in str(found)
 
 
+def test_the_loop_on_the_limit_can_be_made_again_from_its_code():
+    found = design.max_stiffness(pressing(torque_lag=T))
+    names: dict = {}
+    exec(found.replay, names)
+    assert np.allclose(names["loop"].linearize([0.0]).A, found.loop.linearize([0.0]).A, rtol=1e-12)
+
+
 def test_progress_is_shown_when_asked_and_changes_nothing(capsys):
     assert float(design.max_stiffness(pressing(torque_lag=T), progress=True)) == float(design.max_stiffness(pressing(torque_lag=T)))
 

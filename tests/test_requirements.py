@@ -328,3 +328,8 @@ def test_an_integral_force_loop_that_starts_at_the_wrong_force_moves_until_it_is
     law = mfc.laws.DampedForcePI([0, 0, 5, 0, 0, 0], kfp=2.0, kfi=3.0, kdamp=40.0)
     loop = mfc.ClosedLoop(mfc.robots.slider(mass=2.0), law, hold(q=0.0), environment=mfc.Environment(1e3, preload=1.0))
     assert Requirements().check(loop, [0.0]).line("residual").found == pytest.approx(4e-3, rel=1e-9)
+
+
+def test_a_notebook_shows_the_table_with_words_and_escaped_names():
+    page = Requirements(phase_deg=95).check(velocity_p(), [0.0])._repr_html_()
+    assert page.startswith("<table>") and "✗ FAIL" in page and "✓ PASS" in page and "≥ 95 deg" in page and "<script" not in page
