@@ -36,7 +36,7 @@ def constraint_section(title: str, given: ConstraintSet, key: str) -> Section:
         f"largest work of a free twist on a constraint wrench is {written(given.reciprocity, 2)}."
     )
     P = projection(A, arm().task_inertia(POSE))
-    residues = {"P P − P": float(np.abs(P @ P - P).max()), "P A^T": float(np.abs(P @ A.T).max()), "rank of P": float(np.linalg.matrix_rank(P))}
+    residues = {"P P − P": float(np.abs(P @ P - P).max()), "P A^T": float(np.abs(P @ A.T).max()), "rank of P": float(np.round(np.trace(P), 9))}
     body = (
         Equation('"V" dot "F" = v^top f + omega^top m = 0', "reciprocity", "9.17"),
         Table(
@@ -53,7 +53,7 @@ def constraint_section(title: str, given: ConstraintSet, key: str) -> Section:
             (
                 Fact("Rank, free", Number(float(given.rank_free), exact=True)),
                 Fact("Rank, constrained", Number(float(given.rank_constraint), exact=True)),
-                Fact("Rank of P on the UR5", Number(residues["rank of P"], exact=True), "the free directions"),
+                Fact("Rank of P on the UR5", Number(residues["rank of P"], exact=True), "its trace"),
             )
         ),
     )

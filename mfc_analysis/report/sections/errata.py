@@ -15,7 +15,7 @@ from mfc_analysis.maths.se3 import inverse as inverse_pose
 from mfc_analysis.maths.se3 import log6
 from mfc_analysis.report.section import Column, Compare, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Section, Side, Status, Table, written
 from mfc_analysis.report.sections.constraints import invariance_section
-from mfc_analysis.report.sections.force import POSE, arm
+from mfc_analysis.report.sections.force import POSE, arm, tiny
 from mfc_analysis.report.sections.hybrid import KP, NORMAL, hybrid_loop
 from mfc_analysis.report.sections.pieces import LYNCH, at_most, in_words, slowest, verdict_of
 from mfc_analysis.report.sections.task import GAINS, SLOW, apply, followed, path
@@ -128,7 +128,7 @@ def adjoint_section() -> Section:
         form: facts(
             ("Largest position error", Number(sideways[form], "mm", 2)),
             ("Growth over a period", Number(g, "1/s")),
-            ("Imaginary part", Number(float(np.abs(p.imag).max()), "rad/s", 2)),
+            ("Imaginary part", Number(tiny(float(np.abs(p.imag).max())), "rad/s", 2)),
         )
         for form, (_, p, g) in found.items()
     }
@@ -203,7 +203,7 @@ def task_torque_section() -> Section:
     shown = {
         form: facts(
             ("Rightmost root", Number(x["rightmost"], "1/s", 4)),
-            ("Largest imaginary part", Number(x["imaginary"], "rad/s", 2)),
+            ("Largest imaginary part", Number(tiny(x["imaginary"]), "rad/s", 2)),
             ("Sideways", Number(x["sideways"], "mm")),
         )
         for form, x in found.items()

@@ -15,7 +15,7 @@ from mfc_analysis.hardware import Hardware
 from mfc_analysis.laws.constraints import projection
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report.section import Block, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, written
-from mfc_analysis.report.sections.force import KFI, KFP, POSE, Z, arm
+from mfc_analysis.report.sections.force import KFI, KFP, POSE, Z, arm, tiny
 from mfc_analysis.report.sections.pieces import agreement, at_least, at_most, in_words, response
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.stiffness import over_stiffness
@@ -92,7 +92,9 @@ def margins_section() -> Section:
         Column("motion: phase", "°"), Column("motion: delay", "ms"), Column("torque: phase", "°"),
     )  # fmt: skip
     body = (
-        Equation(laws.HybridMotionForce.typst, "hybrid motion and force control", "9.24"),
+        Equation("tau = J_b^top (P hat(Lambda) a + (1 - P) f + hat(eta))", "hybrid motion and force control", "9.24"),
+        Equation('a = dif/(dif t)(["Ad"] "V"_d) + K_p X_e + K_i integral X_e dif t + K_d "V"_e', "its motion half"),
+        Equation('f = "F"_d + K_"fp" "F"_e + K_"fi" integral "F"_e dif t', "its force half"),
         Paragraph(
             (
                 "The normal of the wall is the tool's z axis; the other five directions follow the motion reference. In ",
@@ -256,13 +258,13 @@ def leak_section() -> Section:
     predicted = -leaks["dynamic"] * across
     sizes = {p: float(np.linalg.norm(x[:3])) for p, x in leaks.items()}
     finding = (
-        f"X_e is not projected first: a wall {1e3 * shift:g} mm further away than the reference leaves {written(1e3 * abs(across))} mm of error "
-        f"across it, and that moves the tool {written(1e3 * float(np.linalg.norm(along[:2])))} mm sideways and turns it by "
+        f"The error is not projected first: a wall {1e3 * shift:g} mm further away than the reference leaves {written(1e3 * abs(across))} mm of "
+        f"error across it, and that moves the tool {written(1e3 * float(np.linalg.norm(along[:2])))} mm sideways and turns it by "
         f"{written(1e3 * float(np.linalg.norm(along[3:])))} mrad at rest."
     )
     names = ("x [mm]", "y [mm]", "about x [mrad]", "about y [mrad]", "about z [mrad]")
     index = (0, 1, 3, 4, 5)
-    rows = tuple((name, 1e3 * float(along[i]), 1e3 * float(predicted[i])) for name, i in zip(names, index, strict=True))
+    rows = tuple((name, tiny(1e3 * float(along[i])), tiny(1e3 * float(predicted[i]))) for name, i in zip(names, index, strict=True))
     columns = (Column("Direction", numeric=False), Column("at rest"), Column("by the leak"))
     body: tuple[Block, ...] = (
         Equation(
@@ -280,4 +282,4 @@ def leak_section() -> Section:
     body += (Paragraph("What is left between the columns is the wall's own force, whose direction the turned tool sees change."),)
     checks = (at_most("balance at rest, P (Λ Kp X_e − F_tip)", 1e-8, float(np.abs(left).max()), "N"),)
     numbers = {"leak": leaks, "at_rest": along, "predicted": predicted}
-    return Section("The leak of X_e across the constraint: 9.24", finding, body, checks, numbers, SOURCES, key="hybrid-leak")
+    return Section("An error across the constraint leaks: 9.24", finding, body, checks, numbers, SOURCES, key="hybrid-leak")

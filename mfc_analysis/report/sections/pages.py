@@ -65,6 +65,7 @@ def loop_page(
         numbers(view, found) | dict(more or {}),
         (f"chapter, eq. {law.equation}", *law.sources),
         loop=view.name,
+        key=view.name,
         shown=shown,
     )
 

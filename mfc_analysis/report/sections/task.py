@@ -112,9 +112,9 @@ def coordinates_section() -> Section:
     slow = {"9.5": -SLOW, "9.16": float(np.roots([1, GAINS["kd"], GAINS["kp"], GAINS["ki"]]).real.max())}
     f = two["9.5"]
     finding = (
-        f"On the moving path the rightmost frozen root of 9.5 in (q) wanders from {written(float(f.state.min()))} to "
-        f"{written(float(f.state.max()))} 1/s, the one in (X_e) stays at {written(float(f.error.max()))} 1/s; over a period of the true orbit the "
-        f"error decays at {written(f.truth)} 1/s, as the error coordinates say."
+        f"On the moving path the rightmost frozen root of 9.5 in joint coordinates wanders from {written(float(f.state.min()))} to "
+        f"{written(float(f.state.max()))} 1/s, the one of the tool's error stays at {written(float(f.error.max()))} 1/s; over a period of the true "
+        f"orbit the error decays at {written(f.truth)} 1/s, as the error coordinates say."
     )
     panels = tuple(plots.Panel(f"{name}: Re s [1/s]", np.stack([x.error, x.state], axis=1)) for name, x in two.items())
     figure = Figure(
@@ -185,7 +185,6 @@ def joint_path_section() -> Section:
             t,
             (plots.Panel("q [rad]", q - q[0]), plots.Panel("v [rad/s]", v), plots.Panel("a [rad/s²]", a)),
             names,
-            title="9.14: from the tool to the joints",
         ),
         "Joint motion for one period of the tool path; positions from their start.",
         f"Joint motion over one period: largest speed {np.abs(v).max():.3g} rad/s, largest acceleration {np.abs(a).max():.3g} rad/s².",
