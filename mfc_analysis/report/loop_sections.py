@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-VALIDATED = 1.0  #: [s] of the comparison with the nonlinear loop
+VALIDATED, SHORTEST = 1.0, 0.1  #: [s] of the comparison with the nonlinear loop: at most, and at least where a mode rings
+SEGMENTS, PERIODS, RINGS = 60, 5.0, 0.2  #: samples or dead times; periods of the fastest mode whose damping ratio is below ...
 _HARDWARE = {
     "torque_lag": ("torque lag", "s"),
     "velocity_lag": ("velocity lag", "s"),
@@ -110,11 +111,18 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
 
 
 def validated(view: View, time: float = VALIDATED) -> Validation | None:
-    """The comparison with the nonlinear loop; None where it refuses (a start that the law cannot take)."""
+    """The comparison with the nonlinear loop over at most ``time`` [s]; None where it refuses (a start that the law cannot take).
+
+    It takes about sixteen runs, so it is shorter where a run is slow: at most ``SEGMENTS`` samples or dead times, and
+    ``PERIODS`` of the fastest mode that rings.
+    """
     hardware = view.loop.equations.hardware
-    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=0.0)  # type: ignore[arg-type]
+    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=np.inf)  # type: ignore[arg-type]
+    roots = view.evidence._spectrum.rates[view.worst.index]
+    ringing = np.abs(roots)[np.isfinite(roots) & (np.abs(roots.real) < RINGS * np.abs(roots))].max(initial=0.0)
+    span = min(time, SEGMENTS * grain, max(PERIODS * 2 * np.pi / ringing, SHORTEST) if ringing else np.inf)
     try:
-        return view.loop.validate(min(time, 150 * grain) if grain else time)
+        return view.loop.validate(float(span))
     except MfcError:
         return None
 
