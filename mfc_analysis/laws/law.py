@@ -76,7 +76,7 @@ class Action(NamedTuple):
 
 
 class Law:
-    """Base of all laws. Subclasses are frozen dataclasses whose gain fields become ``Gain``."""
+    """Base of all laws. Subclasses are frozen dataclasses; fields annotated with ``Gain`` become one."""
 
     equation: ClassVar[str]  #: number in the chapter
     plant: ClassVar[Literal["velocity", "torque"]] = "torque"
@@ -90,6 +90,9 @@ class Law:
     )
     typst: ClassVar[str] = ""  #: the equation, as Typst math
     units: ClassVar[Mapping[str, str]] = {}  #: gain -> unit
+
+    def __post_init__(self) -> None:
+        self._coerce(*(f.name for f in fields(self) if "Gain" in str(f.type)))  # type: ignore[arg-type]  # subclasses are dataclasses
 
     def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
         """The law: command, rates of its states and error, from the controller's model and what is measured."""
