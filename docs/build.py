@@ -10,7 +10,7 @@ What a block is:
 - ``toml``: with a first line ``# file: NAME`` written into the working folder.
 - ``console``: lines after ``$``. ``mfc-analysis`` and ``pytest`` are run; ``exit code N`` in a comment says what they return (0 if not said).
 - ``text`` right after a python block, or the lines after a command: what was printed. Words must agree, numbers to one unit of the last
-  digit shown; a line ``...`` stands for any lines.
+  digit shown or to a millionth; a line ``...`` stands for any lines.
 
 ``arm.urdf`` (a UR5) and ``study.toml`` (what ``mfc-analysis init`` makes of it) are in every working folder. mkdocs loads this file as a
 hook: it fills in benchmarks/results.md where a page says ``<!-- include: FILE -->``.
@@ -32,6 +32,7 @@ import time
 import traceback
 import warnings
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
@@ -116,7 +117,7 @@ def _same(want: str, got: str) -> bool:
     mantissa, _, exponent = want.lower().partition("e")
     places = len(mantissa.partition(".")[2])
     unit = 10.0 ** (int(exponent or 0) - places) if "." in mantissa else 0.0
-    return abs(float(want) - float(got)) <= 1.01 * unit
+    return abs(float(want) - float(got)) <= max(1.01 * unit, 1e-6 * abs(float(want)))
 
 
 # --- running a page (in a process of its own) ----------------------------------------------------------------------------
@@ -174,13 +175,20 @@ def _run_console(page: Path, block: Block) -> None:
             print(f"{page.name}:{line}: not run: pytest is not installed")
             continue
         code = re.search(r"#.*?exit code (\d)", command)
-        start = [sys.executable, "-m", "mfc_analysis" if words[0] == "mfc-analysis" else "pytest"]
-        done = subprocess.run([*start, *words[1:]], stdin=subprocess.DEVNULL, capture_output=True, text=True, encoding="utf-8")
+        done = subprocess.run([*_program(words[0]), *words[1:]], stdin=subprocess.DEVNULL, capture_output=True, text=True, encoding="utf-8")
         said = done.stdout + done.stderr
         if done.returncode != int(code[1] if code else 0):
             raise Wrong(f"{page.name}:{line}: {command}: exit code {done.returncode}\n{said}")
         if shown and not agree("\n".join(shown), said):
             raise Wrong(f"{page.name}:{line}: {command}: the page shows\n" + "\n".join(shown) + f"\nbut it prints\n{said}")
+
+
+def _program(name: str) -> list[str]:
+    """How to start a command with this interpreter, whatever is on the path."""
+    if name == "mfc-analysis":
+        return [sys.executable, "-m", "mfc_analysis"]
+    registered = any(e.value == "mfc_analysis.pytest_plugin" for e in entry_points(group="pytest11"))
+    return [sys.executable, "-m", "pytest", *(() if registered else ("-p", "mfc_analysis.pytest_plugin"))]
 
 
 def checked(page: Path) -> str | None:
@@ -234,9 +242,12 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def build_site() -> int:
-    """mkdocs with warnings as errors; returns its exit code."""
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean", "--quiet", "-f", str(ROOT / "mkdocs.yml"), "-d", str(SITE)]
-    return subprocess.run(command, cwd=ROOT, env=_environment()).returncode
+    """mkdocs with warnings as errors; shows them and returns its exit code."""
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean", "-f", str(ROOT / "mkdocs.yml"), "-d", str(SITE)]
+    done = subprocess.run(command, cwd=ROOT, env=_environment(), capture_output=True, text=True, encoding="utf-8")
+    if done.returncode:
+        print(done.stdout + done.stderr)
+    return done.returncode
 
 
 def main() -> int:
