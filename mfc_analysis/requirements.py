@@ -278,10 +278,9 @@ def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
     found = evidence.implied_error()
     if found.value <= limit:
         return []
+    unit = "rad/s or m/s" if evidence.loop.equations.actuator == "velocity" else "rad/s^2 or m/s^2"
     largest = float(np.abs(evidence.linearization.residual).max(initial=0.0))
-    note = f"the loop does not rest at its operating point: residual {largest:.3g} rad/s^2 or m/s^2 implies this steady error"
-    if evidence.loop.equations.actuator == "velocity":
-        note = note.replace("s^2", "s")
+    note = f"the loop does not rest at its operating point: what is left there (residual {largest:.3g} {unit}) moves it this far"
     return [Line("residual", "error at rest", limit, found.value, "rad or m", limit - found.value, Status.WATCH, found.where, found.when, "≤", note)]
 
 
