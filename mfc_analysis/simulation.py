@@ -33,6 +33,7 @@ Disturbance = Callable[[float], Array]
 
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
 FAR = 1e4  #: [rad, m, rad/s, m/s] beyond this position or velocity a run has diverged
+SHORTEST = 1e-9  #: [s] a run below this is taken for a slip
 CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost: a grazing touch is not stepped over
 
 
@@ -411,10 +412,13 @@ def _displaced(loop: ClosedLoop, t: float, q_d: Array, initial_error: ArrayLike)
 
 
 def _asked_times(times: float | ArrayLike) -> Array:
+    given = checks.at_least_1d("times", times)
     if np.ndim(times) == 0:
-        duration = checks.number("times", times, low=0.0, strict=True)
-        return np.linspace(0.0, duration, 501)
-    return checks.times(times)
+        return np.linspace(0.0, checks.number("times", times, low=SHORTEST), 501)
+    asked = checks.times(given)
+    if asked.size > 1 and asked[-1] - asked[0] < SHORTEST:
+        raise BadArgument("times", times, f"times that span {SHORTEST:g} s or more, or a single one")
+    return asked
 
 
 def _disturbance(given: ArrayLike | Callable[[float], ArrayLike] | None, n: int) -> Disturbance | None:

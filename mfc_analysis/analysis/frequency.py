@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from mfc_analysis.analysis.channels import has_rate, point_wires
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.maths.checks import array
+from mfc_analysis.maths.checks import array, at_least_1d
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -30,7 +30,7 @@ def frequency_response(system: OpenSystem, frequencies: ArrayLike, at: str) -> C
     Raises ``UnknownPoint`` and ``BadArgument``.
     """
     wires = point_wires(system, at)
-    w = array("frequencies", np.atleast_1d(np.asarray(frequencies)) if np.ndim(frequencies) == 0 else frequencies, (None,))
+    w = array("frequencies", at_least_1d("frequencies", frequencies), (None,))
     highest = np.pi / system.dt * (1 + 1e-12) if system.dt else np.inf
     if np.any(w < 0) or np.any(w > highest):
         raise BadArgument("frequencies", frequencies, "frequencies >= 0 [rad/s]" + (f" up to pi/dt = {np.pi / system.dt:.6g}" if system.dt else ""))

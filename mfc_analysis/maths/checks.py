@@ -29,6 +29,14 @@ def array(argument: str, value: Any, shape: tuple[int | None, ...] | None = None
     return out
 
 
+def at_least_1d(argument: str, value: Any) -> Any:
+    """A single number as a list of one; anything else as it is. Raises BadArgument for ragged nests."""
+    try:
+        return [value] if np.ndim(value) == 0 else value
+    except ValueError as why:
+        raise BadArgument(argument, value, "numbers in a regular array") from why
+
+
 def number(argument: str, value: Any, *, low: float = -np.inf, high: float = np.inf, strict: bool = False, allow_inf: bool = False) -> float:
     """A finite float in [low, high] (``strict``: low itself excluded)."""
     bounds = f"a number {'>' if strict else '>='} {low:g}" if high == np.inf and low > -np.inf else f"a number in [{low:g}, {high:g}]"
@@ -47,7 +55,7 @@ def number(argument: str, value: Any, *, low: float = -np.inf, high: float = np.
 
 def times(value: Any, argument: str = "times") -> Array:
     """A strictly increasing 1-D array of at least one time [s]; a single number becomes one time."""
-    out = array(argument, np.atleast_1d(np.asarray(value)) if np.ndim(value) == 0 else value, (None,), "finite, strictly increasing times [s]")
+    out = array(argument, at_least_1d(argument, value), (None,), "finite, strictly increasing times [s]")
     if out.size == 0 or np.any(np.diff(out) <= 0):
         raise BadArgument(argument, value, "finite, strictly increasing times [s], at least one")
     return out

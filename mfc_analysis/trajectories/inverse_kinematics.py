@@ -318,7 +318,7 @@ def _closed(ref: ToolReference, t: Array, nodes: _Node) -> float | None:
 
 
 def _start(robot: Robot, q_start: ArrayLike) -> Array:
-    return checks.array("q_start", np.atleast_1d(np.asarray(q_start)) if np.ndim(q_start) == 0 else q_start, (robot.n,))
+    return checks.array("q_start", checks.at_least_1d("q_start", q_start), (robot.n,))
 
 
 def _tool(ref: ToolReference) -> ToolReference:

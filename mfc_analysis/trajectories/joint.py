@@ -325,7 +325,7 @@ def time_array(t: ArrayLike) -> Array:
 
 
 def _position(argument: str, value: ArrayLike) -> Array:
-    out = checks.array(argument, np.atleast_1d(np.asarray(value)) if np.ndim(value) == 0 else value)
+    out = checks.array(argument, checks.at_least_1d(argument, value))
     if out.ndim != 1 or out.size == 0:
         raise BadArgument(argument, f"shape {out.shape}", "shape (n,): a position for each joint [rad or m]")
     return out

@@ -70,7 +70,7 @@ CALLS: list[tuple[str, st.SearchStrategy, Callable[..., object]]] = [
     ("ct loop", st.tuples(gain, gain, gain, scalars), lambda p, i, d, T: mfc.ClosedLoop(TWO, mfc.laws.ComputedTorque(p, i, d), mfc.trajectories.Hold([0.1, 0.2]), hardware=mfc.Hardware(delay=T)).linearize([0.0]).stable),
     ("velocity", st.tuples(gain, gain), lambda p, i: mfc.ClosedLoop(TWO, mfc.laws.VelocityPI(p, i), mfc.trajectories.Hold([0.1, 0.2])).linearize([0.0]).margins()),
     ("linearize", st.tuples(anything, st.sampled_from(["reference", "equilibrium", "simulation", "x"])), lambda t, about: mfc.ClosedLoop(TWO, mfc.laws.JointPID(9e3, 100, 2e3), mfc.trajectories.Hold([0.1, 0.2])).linearize(t, about).A),
-    ("simulate", st.tuples(st.one_of(st.floats(0.01, 0.1), anything), anything), lambda t, e: None if np.ndim(t) == 0 and isinstance(t, (int, float)) and abs(t) > 1 else mfc.ClosedLoop(TWO, mfc.laws.JointPID(9e3, 100, 2e3), mfc.trajectories.Hold([0.1, 0.2])).simulate(t, initial_error=e)),
+    ("simulate", st.tuples(st.one_of(st.floats(0.01, 0.1), anything), anything), lambda t, e: None if np.size(t) and np.asarray(t).dtype.kind in "fi" and np.abs(np.asarray(t)).max() > 2 else mfc.ClosedLoop(TWO, mfc.laws.JointPID(9e3, 100, 2e3), mfc.trajectories.Hold([0.1, 0.2])).simulate(t, initial_error=e)),
     ("force law", st.tuples(anything, gain, gain, gain), lambda F, p, i, d: mfc.ClosedLoop(mfc.robots.slider(1.0), mfc.laws.DampedForcePI(F, p, i, d), mfc.trajectories.Hold([0.0]), environment=mfc.Environment(1e3)).linearize([0.0]).stable),
     ("hybrid", st.tuples(anything, anything), lambda F, A: mfc.laws.HybridMotionForce(F, 100, None, 20, constraints=A)),
     ("gains", st.tuples(scalars, scalars, scalars), lambda b, z, i: mfc.gains.pid(bandwidth=b, damping=z, inertia=i)),
