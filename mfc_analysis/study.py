@@ -176,6 +176,9 @@ def _checked(file: str, raw: dict[str, Any], changes: dict[str, Any] | None, ind
         raise StudyError(file, key, problem, allowed) from None
 
 
+_KINDS = {"model_type": "a table", "dict_type": "a table", "list_type": "a list", "string_type": "a text", "bool_type": "true or false"}
+
+
 def _said(error: Any, raw: Mapping[str, Any]) -> tuple[str, str, tuple[str, ...]]:
     """Dotted key, sentence and allowed keys of one pydantic error."""
     key, table, got = _walk(error["loc"], raw)
@@ -193,7 +196,7 @@ def _said(error: Any, raw: Mapping[str, Any]) -> tuple[str, str, tuple[str, ...]
         near = get_close_matches(str(word), kinds, n=1)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
         return f"{key}.kind", f"got {_short(word)}; takes one of {', '.join(map(repr, kinds))}{hint}" if word is not None else "is missing", kinds
-    said = ctx.get("what") or error["msg"].removeprefix("Input should be ")
+    said = _KINDS.get(kind) or ctx.get("what") or error["msg"].removeprefix("Input should be ")
     if isinstance(got, Mapping) and kind == "takes":
         return key, f"takes {said}", ()
     return key, f"got {_short(got)}; takes {said}", ()
@@ -218,7 +221,7 @@ def _walk(loc: Sequence[str | int], raw: Any) -> tuple[str, type[Table], Any]:
         here = here[part] if known else None
         if inner and (i != last or not known or isinstance(here, (Mapping, list))):
             kind = here.get("kind") if isinstance(here, Mapping) else None
-            table = REFERENCES[kind] if part == "reference" and kind in REFERENCES else inner[0]
+            table = REFERENCES[kind] if part == "reference" and isinstance(kind, str) and kind in REFERENCES else inner[0]
     return key, table, here
 
 
