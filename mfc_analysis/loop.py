@@ -277,7 +277,8 @@ class ClosedLoop:
         from mfc_analysis.simulation import simulate, start_state
 
         if x is None:
-            first = 0.0 if isinstance(checks.at_least_1d("times", times), list) and np.ndim(times) == 0 else float(checks.times(times)[0])
+            given = checks.at_least_1d("times", times)
+            first = 0.0 if np.ndim(times) == 0 else float(checks.times(given)[0])
             x0 = start_state(self, first, initial_error, q, v, integral, force_integral, actuator)
         else:
             x0 = checks.array("x", x, (self.equations.nx,))

@@ -34,6 +34,7 @@ Disturbance = Callable[[float], Array]
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
 FAR = 1e4  #: [rad, m, rad/s, m/s] beyond this position or velocity a run has diverged
 SHORTEST = 1e-9  #: [s] a run below this is taken for a slip
+NO_FORCE = 1e-9  #: [N, Nm] a surface that presses less is not touched
 CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost: a grazing touch is not stepped over
 
 
@@ -154,20 +155,18 @@ class _Run:
             options.update(method="DOP853" if options["rtol"] < 1e-8 else "RK45", first_step=end - start)
         if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
             options["jac"] = jac
-        watched = self._events()
         if self.one_sided:
             options["max_step"] = CONTACT_STEP
 
         def solve(f: Callable[[float, Array], Array], options: dict[str, Any]) -> Any:
             with np.errstate(all="ignore"):
-                return solve_ivp(f, (start, end), x, dense_output=True, events=[event for event, _ in watched], **options)
+                return solve_ivp(f, (start, end), x, dense_output=True, events=[self._far()], **options)
 
         try:
             found = solve(self._stopping(rates), options)
         except _Stop:  # maybe only a step too far: again, by a method that shortens a step it cannot evaluate
             found = solve(self._or_nan(rates), {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
-        for (_, event), times in zip(watched[1:], found.t_events[1:], strict=True):
-            self.events += [Event(float(t), *event) for t in times]
+        self.events += self._contacts(found)
         self.path.add(float(found.t[-1]), found.sol)
         if found.status == 1 or not np.isfinite(found.y).all():
             self.stop(Outcome.DIVERGED, float(found.t[-1]), f"position or velocity beyond {FAR:g}")
@@ -208,26 +207,43 @@ class _Run:
     def stop(self, outcome: Outcome, t: float, why: str) -> None:
         self.outcome, self.message = outcome, f"{outcome.value} at t = {t:.4g} s: {why}"
 
-    def _events(self) -> list[tuple[Any, tuple[str, int, str]]]:
-        e = self.equations
-        watch = np.concatenate([np.arange(where.start, where.stop) for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
+    def _far(self) -> Any:
+        watch = np.concatenate(
+            [np.arange(where.start, where.stop) for name, (where, _) in self.equations.parts.items() if name in ("q", "v", "theta", "omega")]
+        )
 
         def far(t: float, x: Array) -> float:
             return FAR - float(np.abs(x[watch]).max())
 
         far.terminal = True  # type: ignore[attr-defined]
-        out: list[tuple[Any, tuple[str, int, str]]] = [(far, ("far", 0, ""))]
+        return far
+
+    def _contacts(self, found: Any) -> list[Event]:
+        """Touch and lift between the solver's steps, located on its dense output.
+
+        Not by solve_ivp's own events: those take the signs from the steps and search on the dense output, which differs by rounding.
+        """
+        e = self.equations
+        if not self.one_sided or found.t.size < 2:
+            return []
+
+        def forces(t: Array) -> list[Array]:
+            return [value(f) for f in e.touch(e.split(np.ascontiguousarray(np.atleast_2d(found.sol(t).T)))).forces]
+
+        at_steps = forces(found.t)
+        out = []
         for i, surface in enumerate(e.surfaces):
-            if not surface.one_sided:
-                continue
-            for axis, index in zip(surface.axis_names, surface.index, strict=True):
-                for kind, direction in (("touch", 1.0), ("lift", -1.0)):
-
-                    def crossing(t: float, x: Array, i: int = i, index: int = index) -> float:
-                        return float(value(e.touch(e.split(x)).forces[i])[index])
-
-                    crossing.direction = direction  # type: ignore[attr-defined]
-                    out.append((crossing, (kind, i, axis)))
+            for axis, index in zip(surface.axis_names, surface.index, strict=True) if surface.one_sided else ():
+                presses = at_steps[i][:, index] > NO_FORCE
+                for k in np.flatnonzero(presses[:-1] != presses[1:]):
+                    low, high = float(found.t[k]), float(found.t[k + 1])
+                    while high - low > 1e-12 * max(1.0, high):
+                        middle = 0.5 * (low + high)
+                        if (forces(np.array([middle]))[i][0, index] > NO_FORCE) == presses[k]:
+                            low = middle
+                        else:
+                            high = middle
+                    out.append(Event(high, "touch" if presses[k + 1] else "lift", i, axis))
         return out
 
 
@@ -251,6 +267,9 @@ def simulate(
     options = {"rtol": checks.number("rtol", rtol, low=0.0, strict=True), "atol": checks.number("atol", atol, low=0.0, strict=True), "method": method}
     e = loop.equations
     run = _Run(e, _disturbance(disturbance, e.n), options, _Path(float(asked[0]), x0), [])
+    moving = np.concatenate([x0[where] for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
+    if np.abs(moving).max() > FAR:
+        raise BadArgument("the start", float(np.abs(moving).max()), f"positions and velocities up to {FAR:g}")
     e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # an impossible start is an error, not an outcome
     with _one_warning():
         if len(asked) > 1:
