@@ -13,6 +13,8 @@ from mfc_analysis.maths import checks
 
 Array = NDArray[np.float64]
 
+MOST_SAMPLES = 2000  #: of dead time in a sampled loop
+
 
 @dataclass(frozen=True, eq=False)
 class Hardware:
@@ -55,6 +57,11 @@ class Hardware:
             raise BadArgument("joint_stiffness, motor_inertia", got, "both or neither: an elastic joint needs both")
         if self.joint_damping is not None and self.joint_stiffness is None:
             raise BadArgument("joint_damping", self.joint_damping, "joint_stiffness= and motor_inertia= beside it")
+        for name in ("delay", "force_delay"):
+            late = getattr(self, name)
+            if late and self.sample_time and late > MOST_SAMPLES * self.sample_time:
+                takes = f"at most {MOST_SAMPLES} sample times of {self.sample_time:g} s: each late sample is a state of the discrete model"
+                raise BadArgument(f"hardware.{name}", late, takes)
 
     @property
     def ideal(self) -> bool:

@@ -206,7 +206,7 @@ def test_hardware_that_a_loop_has_no_place_for_is_refused(law: L.Law, hardware: 
     ({"sample_time": np.inf}, "sample_time"), ({"velocity_filter": [1e-3, 0.0]}, "velocity_filter"), ({"torque_limit": "strong"}, "torque_limit"),
     ({"torque_lag": np.ones((2, 2))}, "torque_lag"),
     ({"joint_stiffness": 1e3}, "joint_stiffness"), ({"motor_inertia": 1.0}, "motor_inertia"), ({"joint_damping": 1.0}, "joint_damping"),
-    ({"feedback": "both"}, "feedback"),
+    ({"feedback": "both"}, "feedback"), ({"delay": 3.0, "sample_time": 1e-3}, "delay"),
 ])  # fmt: skip
 def test_hardware_that_cannot_be_is_refused_by_name(given: dict, argument: str) -> None:
     with pytest.raises(BadArgument) as info:

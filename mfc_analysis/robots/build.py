@@ -180,7 +180,7 @@ def rotational_inertia(inertia: ArrayLike) -> Array:
     scale = float(np.abs(full).max())
     if not np.allclose(full, full.T, rtol=0, atol=1e-9 * scale) or np.linalg.eigvalsh(full)[0] < -1e-9 * scale:
         raise BadArgument("inertia", inertia, takes)
-    full = 0.5 * (full + full.T)
+    full = 0.5 * full + 0.5 * full.T
     full.setflags(write=False)
     return full
 

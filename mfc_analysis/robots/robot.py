@@ -217,7 +217,10 @@ class Robot:
         I = build.rotational_inertia(inertia)
         frame = self.model.frames[self.frame_id]
         model = pin.Model(self.model)
-        model.inertias[frame.parentJoint] += frame.placement.act(build.body(mass, com, I))
+        added = frame.placement.act(build.body(mass, com, I))
+        model.inertias[frame.parentJoint] += added
+        if not np.isfinite(model.inertias[frame.parentJoint].matrix()).all():
+            raise BadArgument("mass, com, inertia", (mass, com, I), "a body whose inertia at the joint is a finite number")
         return replace(self, model=model, payloads=(*self.payloads, Payload(mass, com, I)))
 
     def with_friction(self, viscous: ArrayLike | None = None, coulomb: ArrayLike = 0.0, coulomb_speed: float = COULOMB_SPEED) -> Robot:

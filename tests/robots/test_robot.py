@@ -253,6 +253,7 @@ def test_payloads_add_up_and_a_scalar_inertia_is_a_sphere():
         {"mass": "2"},
         {"com": (0, 0)},
         {"com": (0, 0, np.inf)},
+        {"com": (0, 0, 1e200)},
         {"inertia": -1},
         {"inertia": np.ones(3)},
         {"inertia": [[1, 2, 0], [0, 1, 0], [0, 0, 1]]},
