@@ -46,8 +46,7 @@ def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | No
         raise BadArgument("loop", str(loop), "a loop with an environment: ClosedLoop(..., environment=mfc.Environment(...))")
     pressed = [s.f0.any() for s in surfaces]
     varied = pressed if any(pressed) else [True] * len(surfaces)
-    q = loop.nominal([0.0 if times is None else float(np.ravel(np.asarray(times))[0])]).q[0]
-    X = loop.robot.pose(q)
+    X = loop.robot.pose(loop.nominal(_times(loop, times)[:1]).q[0])
 
     def stiffer(k: float) -> ClosedLoop:
         return replace(loop, environment=[with_stiffness(s, k, X) if vary else s for s, vary in zip(surfaces, varied, strict=True)])
@@ -149,6 +148,8 @@ def max_bandwidth(
     """
     if not isinstance(requirements, Requirements):
         raise BadArgument("requirements", requirements, "a Requirements, such as mfc.Requirements(phase_deg=45)")
+    if not callable(make_loop):
+        raise BadArgument("make_loop", make_loop, "a function of the bandwidth [rad/s] that returns a ClosedLoop or several")
     lower, upper = checks.number("lower", lower, low=0.0, strict=True), checks.number("upper", upper, low=0.0, strict=True)
     t = checks.times(times)
     with shown(progress, "largest bandwidth [rad/s]") as tick:

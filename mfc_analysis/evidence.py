@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mfc_analysis.analysis.poles import Spectrum, rates, spectrum
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.analysis.zero_roots import without_zero_roots
-from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint
 from mfc_analysis.jacobians import closed_matrix
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
@@ -59,7 +59,7 @@ class Evidence:
         times: (m,) [s], strictly increasing, or one number.
         at: analysis point of margins and disk margin; None: the plant input.
 
-    Raises BadArgument and its kin (UnknownPoint for ``at``) when a figure is asked for.
+    Raises BadArgument, UnknownPoint for ``at``.
     """
 
     loop: ClosedLoop
@@ -71,6 +71,9 @@ class Evidence:
         if not isinstance(self.loop, ClosedLoop):
             raise BadArgument("loop", self.loop, "a ClosedLoop")
         object.__setattr__(self, "times", checks.times(self.times))
+        law = self.loop.law
+        if self.at is not None and (not isinstance(self.at, str) or self.at not in law.opens_at):
+            raise UnknownPoint(self.at, type(law).__name__, law.opens_at)
         object.__setattr__(self, "at", self.loop.default_at if self.at is None else self.at)
 
     # --- computed once -------------------------------------------------------------------------------------------

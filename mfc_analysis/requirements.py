@@ -22,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.errors import UnknownName
+from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.evidence import Evidence, Found
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
@@ -206,6 +206,8 @@ class Requirements:
     @classmethod
     def from_mapping(cls, asked: Mapping[str, Any]) -> Self:
         """Requirements from a mapping, such as a table of a study. Raises UnknownName for a key that isn't one, BadArgument for a value."""
+        if not isinstance(asked, Mapping):
+            raise BadArgument("requirements", asked, f"a mapping of some of {', '.join(KINDS)} to numbers")
         for name in asked:
             if name not in KINDS:
                 raise UnknownName("requirements", name, KINDS)

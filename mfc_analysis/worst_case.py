@@ -88,10 +88,14 @@ def worst_case(
     """
     if isinstance(figure, str) and figure not in FIGURES:
         raise UnknownName("figure", figure, FIGURES)
+    if not callable(build):
+        raise BadArgument("build", build, "a function of the parameters that returns a ClosedLoop")
+    if not isinstance(ranges, Mapping) or not ranges:
+        raise BadArgument("ranges", ranges, "at least one name with its range, such as {'payload': (0, 5)}")
+    if isinstance(points, bool) or not isinstance(points, int) or points < 2:
+        raise BadArgument("points", points, "a whole number >= 2")
     t = checks.times(times)
     axes = {name: _axis(name, given, points) for name, given in ranges.items()}
-    if not axes:
-        raise BadArgument("ranges", dict(ranges), "at least one name with its range, such as {'payload': (0, 5)}")
     search = _Search(build, t, figure, at)
     scored = [(search.score(dict(zip(axes, values, strict=True))), values) for values in product(*(a.values for a in axes.values()))]
     judged = [(s, values) for s, values in scored if s is not None]

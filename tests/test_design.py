@@ -340,6 +340,13 @@ def test_a_figure_of_ones_own_is_minimised():
 def test_bad_ranges_and_figures_are_refused():
     with pytest.raises(UnknownName, match="phase_deg"):
         design.worst_case(two_lags, {"gain": (1.0, 5.0), "lag": (0.1, 0.2)}, [0.0], "phase")
-    for bad in ({}, {"gain": (2.0, 1.0)}, {"gain": (1.0,)}, {"gain": (1.0, math.nan)}):
+    for named, arguments in (("build", (3, {"gain": (1, 2)})), ("points", (two_lags, {"gain": (1, 2)}))):
+        with pytest.raises(BadArgument, match=named):
+            design.worst_case(*arguments, points=1)
+    with pytest.raises(BadArgument, match="make_loop"):
+        design.max_bandwidth(3, mfc.Requirements(phase_deg=45), [0.0])
+    with pytest.raises(BadArgument, match="times"):
+        design.max_stiffness(pressing(), times=[1.0, 0.0])
+    for bad in ({}, None, {"gain": (2.0, 1.0)}, {"gain": (1.0,)}, {"gain": (1.0, math.nan)}):
         with pytest.raises(BadArgument, match="ranges"):
             design.worst_case(two_lags, bad, [0.0])

@@ -242,8 +242,11 @@ def test_bad_loops_times_and_points_are_refused():
         Requirements().check(3, [0.0])
     with pytest.raises(BadArgument, match="times"):
         Requirements().check(velocity_p(), [1.0, 0.0])
-    with pytest.raises(UnknownPoint):
-        Requirements(phase_deg=1).check(velocity_p(), [0.0], at="force")
+    for req in (Requirements(phase_deg=1), Requirements()):
+        with pytest.raises(UnknownPoint):
+            req.check(velocity_p(), [0.0], at="force")
+    with pytest.raises(BadArgument, match="requirements"):
+        Requirements.from_mapping(45)
 
 
 def test_the_table_has_failures_first_and_every_number():
