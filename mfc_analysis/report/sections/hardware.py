@@ -32,6 +32,7 @@ SOURCES = (
     "Franklin, Powell, Workman, Digital Control of Dynamic Systems",
 )
 BANDWIDTH, PAYLOAD, LAG = 15.0, 2.0, 2e-3  #: [rad/s] triple pole, [kg] unknown, [s]
+ASIDE = (0.8, 1.25)  #: simulated runs lie at these parts of a limit
 ASKED = Requirements(phase_deg=45.0, gain_increase_db=6.0, gain_reduction_db=6.0, delay=8e-3, sensitivity_peak=2.0, disk_margin=0.4)
 
 
@@ -98,7 +99,7 @@ def first_section() -> Section:
     finding = (
         f"What breaks first is the {near.name}: the loop bears {Number(near.limit, near.unit)} where "
         f"{Number(near.expected, near.unit, exact=True)} is expected, a factor of {written(near.factor)}. "
-        f"{agree} of {len(points)} simulated runs at 0.9 and 1.1 of a limit do what the limit says."
+        f"{agree} of {len(points)} simulated runs at 0.8 and 1.25 of a limit do what the limit says."
     )
     shown = tuple((f"{name}, {written(value)} {unit}", "stable" if stable else "unstable", "settles" if settled else "grows")
                   for (name, unit), value, stable, settled in points)  # fmt: skip
@@ -124,16 +125,16 @@ def first_section() -> Section:
 
 
 def confirmed() -> list[tuple[tuple[str, str], float, bool, bool]]:
-    """((what, unit), value, stable by the limit, settles in simulation) at 0.9 and 1.1 of the limits of sampling and payload."""
+    """((what, unit), value, stable by the limit, settles in simulation) at 0.8 and 1.25 of the limits of sampling and payload."""
     by_name = {x.name: x for x in limits()}
     out = []
     period, extra = 1 / by_name["sample rate"].limit, by_name["unknown payload"].limit
-    for f in (0.9, 1.1):
+    for f in ASIDE:
         sampled = computed_torque(arm().with_payload(PAYLOAD), arm(), POSE, hardware=Hardware(torque_lag=LAG, sample_time=f * period))
         run = sampled.simulate(np.arange(0, 41) * f * period, initial_error=1e-4, integral="trimmed")
         out.append((("sample time", "s"), f * period, f < 1, not run.diverged and settles(run.t, run.error)))
         heavy = computed_torque(arm().with_payload(f * extra), arm(), POSE, hardware=Hardware(torque_lag=LAG))
-        run = heavy.simulate(np.linspace(0, 6, 241), initial_error=1e-4, integral="trimmed", rtol=1e-6, atol=1e-9)
+        run = heavy.simulate(np.linspace(0, 3, 121), initial_error=1e-4, integral="trimmed", rtol=1e-4, atol=1e-7)
         out.append((("payload", "kg"), f * extra, f < 1, not run.diverged and settles(run.t, run.error)))
     return out
 
@@ -149,13 +150,13 @@ def single(w: float, delay: float | None = None) -> ClosedLoop:
 
 def delay_section() -> Section:
     """Dead time x bandwidth of computed torque on one joint: what the product may be."""
-    w, T, at = np.geomspace(2, 50, 13), np.geomspace(2e-3, 0.5, 21), 10.0
+    w, T, at = np.geomspace(2, 50, 11), np.geomspace(2e-3, 0.5, 15), 10.0
     found: DelayMap = delay_map(single, T, w)
     limit = float(design.max_delay(single(at)))
     product = np.array([limit * at, float(design.max_delay(single(40.0))) * 40.0])
     points = []
     for f in (1 / 1.5, 1.5):
-        run = single(at, f * limit).simulate(np.linspace(0, 1.2, 121), initial_error=0.01, rtol=1e-4, atol=1e-7)
+        run = single(at, f * limit).simulate(np.linspace(0, 0.8, 81), initial_error=0.01, rtol=1e-4, atol=1e-7)
         points.append((f * limit, at, not run.diverged and settles(run.t, run.error)))
     agree = sum(settled == (late < limit) for late, _, settled in points)
     grown = np.arcsinh(found.growth)
@@ -199,7 +200,7 @@ def delay_section() -> Section:
 def disk_section() -> Section:
     """One loop at a time against all at once, and inputs with outputs together."""
     lin = loaded().linearize()
-    one, all_, both = lin.margins("torque"), lin.disk_margin("torque"), lin.disk_margin(("torque", "position"))
+    one, all_, both = lin.margins("torque"), lin.disk_margin("torque"), lin.disk_margin(("torque", "position"), np.geomspace(1.0, 100.0, 60))
     a, b = float(all_.alpha[0]), float(both.alpha[0])
     finding = (
         f"One torque at a time the loop bears {written(float(one.phase_deg.min()))}° of phase; all six at once "

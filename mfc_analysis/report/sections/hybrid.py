@@ -106,7 +106,6 @@ def margins_section() -> Section:
         ),
         Table("Least margins of both halves on a wall of 10 kN/m.", columns, tuple(rows)),
         response(lin, "force", 2, "UR5, 9.24, fz", span=(0.1, 3e3)),
-        response(lin, "command", 0, "UR5, 9.24, vx", span=(0.1, 3e3)),
     )
     checks = (
         at_least("phase margin", 45.0, float(rows[0][2]), "°", "force, fz"),
@@ -187,7 +186,7 @@ def cases() -> tuple[Array, dict[str, Case]]:
     w = np.geomspace(0.3, 300.0, 40)
     X = arm().pose(POSE)
     slide = ToolSinusoid(X, 0.05 * X[:3, 0], 6.0)
-    t = np.linspace(0, slide.period or 1.0, 41)
+    t = np.linspace(0, 0.6 * (slide.period or 1.0), 41)
     ways: dict[str, dict[str, Any]] = {
         "exact": {},
         "selection": {"projector": "selection"},
@@ -197,8 +196,8 @@ def cases() -> tuple[Array, dict[str, Case]]:
     out = {}
     for name, way in ways.items():
         lin = hybrid_loop(**way).linearize()
-        run = hybrid_loop(**way, ref=slide).simulate(t, rtol=1e-5, atol=1e-8)
-        settled = slice(10, None)
+        run = hybrid_loop(**way, ref=slide).simulate(t, rtol=1e-4, atol=1e-7)
+        settled = t > 0.1
         out[name] = Case(
             coupling(lin, ("F_d_fz",), FREE, w).gain[0],
             coupling(lin, ("X_d_vx", "X_d_vy"), ("F_tip_fz",), w).gain[0],
@@ -235,7 +234,7 @@ def coupling_section() -> Section:
     )
     body = (
         Paragraph(
-            "The arm slides by 5 cm along the wall at 6 rad/s while it presses with 20 N; errors are the largest after the first quarter of a period."
+            "The arm slides by 5 cm along the wall at 6 rad/s while it presses with 20 N; errors are the largest after the first tenth of a second."
         ),
         Table("Coupling between the halves of 9.24.", columns, rows),
         figure,

@@ -52,11 +52,12 @@ def in_words(stable: bool, drifts: bool = False) -> str:
 
 def response(lin: Linearization, at: str, channel: int, name: str, index: int = 0, span: tuple[float, float] = (1e-1, 1e4)) -> Row:
     """Bode and Nyquist figures of one channel of a linearised loop, its margins drawn on the curve."""
-    w = np.geomspace(*span, 300)
-    L = lin.frequency_response(w, at)[index, channel]
-    found = lin.margins(at)
-    known: dict[str, Any] = dict(of_channel(found, index, channel))
-    peak = float(found.sensitivity_peak[index, channel])
+    w = np.geomspace(*span, 240)
+    here = lin if len(lin) == 1 else lin.again(lin.times[[index]])
+    L = here.frequency_response(w, at)[0, channel]
+    found = here.margins(at)
+    known: dict[str, Any] = dict(of_channel(found, 0, channel))
+    peak = float(found.sensitivity_peak[0, channel])
     said = (
         f"phase margin {written(known['phase_margin'], undefined='not defined')} degrees at {written(known['crossover'])} rad/s, "
         f"gain increase {written(known['gain_increase'])}, sensitivity peak {written(peak)}"

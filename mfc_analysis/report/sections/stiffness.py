@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis import plots
-from mfc_analysis.design import max_stiffness
 from mfc_analysis.hardware import Hardware
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report.section import (
@@ -79,7 +78,7 @@ def mapped(make: Callable[[float, float], ClosedLoop], values: Array, at: tuple[
     for k, value in at:
         loop = make(k, value)
         rate = float(over_stiffness(loop, [k]).growth[0])
-        duration = float(np.clip(2.5 / abs(rate), 0.04, 0.15))
+        duration = float(np.clip(2.5 / abs(rate), 0.04, 0.1))
         run = loop.simulate(np.linspace(0, duration, 200), v=kick, rtol=1e-4, atol=1e-7)
         settled = not run.diverged and settles(run.t, run.force[:, 2])
         points.append((k, value, settled))
@@ -135,7 +134,7 @@ def lag_section() -> Section:
     """With lag, delay and filter stiffness decides: two maps, the boundary against the closed form."""
     gains = np.geomspace(0.1, 10, 21)
     kick = np.array([1e-3])
-    limit = float(max_stiffness(slider_loop(hardware=LAGGED)))
+    limit = stable_up_to(slider_loop(hardware=LAGGED))
     sides = tuple((closed_form(g) * f, g) for g in (KFP,) for f in (1 / ASIDE, ASIDE))
     lagged = mapped(lambda k, g: slider_loop(k, kfp=g, hardware=LAGGED), gains, sides, kick)
 
@@ -143,7 +142,7 @@ def lag_section() -> Section:
         return slider_loop(k, kfp=g, hardware=ALL)
 
     real_limit = stable_up_to(late(1e4, KFP))
-    real = mapped(late, gains[::2], ((real_limit / ASIDE, KFP), (real_limit * ASIDE, KFP)), kick, SPAN[::3])
+    real = mapped(late, gains[::3], ((real_limit / ASIDE, KFP), (real_limit * ASIDE, KFP)), kick, SPAN[::4])
     wanted = closed_form(KFP)
     finding = (
         f"A torque lag of 2 ms makes stiffness decide: with kfp = {KFP:g} the loop is stable up to {written(limit / 1e3)} kN/m "
@@ -184,7 +183,7 @@ def arm_section() -> Section:
     swept, ideal = over_stiffness(loop, SPAN), over_stiffness(arm_loop(), SPAN)
     limit, late_limit = stable_up_to(loop), stable_up_to(arm_loop(hardware=ALL))
     kick = np.asarray(np.linalg.solve(loop.robot.jacobian(POSE), 1e-3 * Z))
-    found = mapped(lambda k, g: arm_loop(k, kfp=g, hardware=FILTERED), np.geomspace(0.3, 10, 15), ((limit / ASIDE, KFP), (limit * ASIDE, KFP)), kick)
+    found = mapped(lambda k, g: arm_loop(k, kfp=g, hardware=FILTERED), np.geomspace(0.3, 10, 12), ((limit / ASIDE, KFP), (limit * ASIDE, KFP)), kick)
     shown = [int(np.argmin(np.abs(SPAN - k))) for k in (1e2, 1e3, 1e4, 1e5, 1e6)]
     m = over_stiffness(loop, SPAN[shown]).margins("force")
     rows = tuple(

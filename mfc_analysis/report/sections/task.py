@@ -236,7 +236,7 @@ def dynamics_section() -> Section:
 
 def torque_section() -> Section:
     """9.16: the error polynomial with an exact model, and the margins with an unknown payload and a torque lag."""
-    t = times(20)
+    t = times(12)
     law = laws.TaskComputedTorque(**GAINS)
     exact = ClosedLoop(arm(), law, path(), q_start=POSE).linearize(t)
     six = np.polynomial.polynomial.polypow([GAINS["ki"], GAINS["kp"], GAINS["kd"], 1.0], 6)[::-1]
