@@ -47,7 +47,10 @@ def row(what: str, rival: str, found: tuple[float, float, float], per: int, goal
     ours, other, ratio = found
     scale = 1.0 if rival_per is None else rival_per / per
     ROWS.append((what, rival, 1e6 * ours / per, 1e6 * other / (rival_per or per), ratio * scale, goal))
-    print(f"{what:58s} {1e6 * ours / per:10.1f} us  {rival:46s} {1e6 * other / (rival_per or per):10.1f} us  ratio {ratio * scale:8.3f}  ({goal})", flush=True)
+    print(
+        f"{what:58s} {1e6 * ours / per:10.1f} us  {rival:46s} {1e6 * other / (rival_per or per):10.1f} us  ratio {ratio * scale:8.3f}  ({goal})",
+        flush=True,
+    )
 
 
 def wrong_model_loop() -> mfc.ClosedLoop:
@@ -154,14 +157,32 @@ def linearising() -> None:
     from mfc_analysis.jacobians import closed_matrix
 
     x = lin.point.x
-    row("A of the closed loop, 18 states (9.10, wrong model)", "bare Pinocchio derivative loop + matmul", paired(lambda: closed_matrix(loop.equations, times, x), floor), 1000, "<= 1.5, aim 1.25")
-    row("the same with operating points: loop.linearize(t).A", "bare loop (operating points given)", paired(lambda: loop.linearize(times).A, floor), 1000, "for information")
+    row(
+        "A of the closed loop, 18 states (9.10, wrong model)",
+        "bare Pinocchio derivative loop + matmul",
+        paired(lambda: closed_matrix(loop.equations, times, x), floor),
+        1000,
+        "<= 1.5, aim 1.25",
+    )
+    row(
+        "the same with operating points: loop.linearize(t).A",
+        "bare loop (operating points given)",
+        paired(lambda: loop.linearize(times).A, floor),
+        1000,
+        "for information",
+    )
     few = times[::20]
     rival = python_control_linearize(loop, few)
     row("loop.linearize(t).A", "control.linearize", paired(lambda: loop.linearize(times).A, rival, 3), 1000, "<= 1/20", rival_per=len(few))
     eigen = lambda: np.linalg.eigvals(floor())  # noqa: E731
     row("A and poles, operating points given", "bare loop + numpy eigvals", paired(lambda: replace(lin).poles(), eigen), 1000, "<= 1.15")
-    row("A and poles with operating points", "bare loop + numpy eigvals", paired(lambda: loop.linearize(times).poles(), eigen), 1000, "for information")
+    row(
+        "A and poles with operating points",
+        "bare loop + numpy eigvals",
+        paired(lambda: loop.linearize(times).poles(), eigen),
+        1000,
+        "for information",
+    )
 
 
 def margins() -> None:
@@ -177,7 +198,14 @@ def margins() -> None:
         for L in singles:
             control.stability_margins(L)
 
-    row("margins of 6 loops (with sensitivity peak, delay, gain interval)", "control.stability_margins", paired(lambda: lin.margins(), rival, 3), 200, "<= 1/15, aim 1/25", rival_per=len(few))
+    row(
+        "margins of 6 loops (with sensitivity peak, delay, gain interval)",
+        "control.stability_margins",
+        paired(lambda: lin.margins(), rival, 3),
+        200,
+        "<= 1/15, aim 1/25",
+        rival_per=len(few),
+    )
 
 
 def steps() -> None:
@@ -187,13 +215,25 @@ def steps() -> None:
     one = sys[lin.output_names[0], lin.input_names[0]]
     found = lin.step(0, input=0, output=0)
     grid = np.linspace(0.0, found.t[-1], len(found.t))
-    row("step response with its figures", "control.step_response", paired(lambda: lin.step(0, input=0, output=0), lambda: control.step_response(one, grid)), 1, "< 1")
+    row(
+        "step response with its figures",
+        "control.step_response",
+        paired(lambda: lin.step(0, input=0, output=0), lambda: control.step_response(one, grid)),
+        1,
+        "< 1",
+    )
 
 
 def simulation() -> None:
     """5 s of UR5."""
     loop = wrong_model_loop()
-    row("5 s of simulation (sim with all its signals)", "hand-written right-hand side, LSODA", paired(lambda: loop.simulate(5.0, initial_error=0.1), hand_written(loop)), 1, "for information")
+    row(
+        "5 s of simulation (sim with all its signals)",
+        "hand-written right-hand side, LSODA",
+        paired(lambda: loop.simulate(5.0, initial_error=0.1), hand_written(loop)),
+        1,
+        "for information",
+    )
 
 
 def task_space() -> None:
@@ -206,13 +246,25 @@ def task_space() -> None:
 
     task = mfc.ClosedLoop(robot.with_payload(2.0), mfc.laws.TaskComputedTorque(100, 80, 20), path, controller_model=robot, q_start=Q0)
     x = task.linearize(times).point.x
-    row("A of 9.16 (wrong model), state coordinates", "its bare Pinocchio calls", paired(lambda: closed_matrix(task.equations, times, x), bare_task(task, times, 0)), 1000, "<= 3, aim 2")
+    row(
+        "A of 9.16 (wrong model), state coordinates",
+        "its bare Pinocchio calls",
+        paired(lambda: closed_matrix(task.equations, times, x), bare_task(task, times, 0)),
+        1000,
+        "<= 3, aim 2",
+    )
     wall = mfc.Environment(1e4, 10.0, pose=X0, axes="z", preload=10.0)
     law = mfc.laws.HybridMotionForce([0, 0, 10, 0, 0, 0], 100, None, 20, 0.5, 2.0, 30, constraints=np.eye(6)[[2]])
     flat = mfc.trajectories.ToolSinusoid(X0, [0.05, 0.0, 0.0], 1.5)
     hybrid = mfc.ClosedLoop(robot.with_payload(2.0), law, flat, controller_model=robot, q_start=Q0, environment=wall)
     xh = hybrid.linearize(times).point.x
-    row("A of 9.24 (dynamic projection, contact)", "its bare Pinocchio calls", paired(lambda: closed_matrix(hybrid.equations, times, xh), bare_task(hybrid, times, 2)), 1000, "<= 4, aim 3")
+    row(
+        "A of 9.24 (dynamic projection, contact)",
+        "its bare Pinocchio calls",
+        paired(lambda: closed_matrix(hybrid.equations, times, xh), bare_task(hybrid, times, 2)),
+        1000,
+        "<= 4, aim 3",
+    )
 
 
 def robustness() -> None:
@@ -227,7 +279,14 @@ def robustness() -> None:
     sys = lin.opened
     one = loop.linearize([0.0])
     L = mimo(one)
-    row("disk margin, 6 joints, 300 frequencies", "control.disk_margins", paired(lambda: lin.disk_margin(frequencies=w), lambda: control.disk_margins(L, w), 1), 8, "<= 1/30", rival_per=1)
+    row(
+        "disk margin, 6 joints, 300 frequencies",
+        "control.disk_margins",
+        paired(lambda: lin.disk_margin(frequencies=w), lambda: control.disk_margins(L, w), 1),
+        8,
+        "<= 1/30",
+        rival_per=1,
+    )
     del sys
     T = loop.ref.period
     nodes = np.linspace(0, T, 160)
@@ -241,7 +300,13 @@ def robustness() -> None:
     from mfc_analysis.time_varying import transitions_along
 
     run = loop.simulate([0.0, T], rtol=1e-8)
-    row("one Floquet iteration (period map, 80 steps)", "its A(t) batch + 80 expm", paired(lambda: transitions_along(loop, run, np.linspace(0, T, 81)), floor), 1, "<= 3")
+    row(
+        "one Floquet iteration (period map, 80 steps)",
+        "its A(t) batch + 80 expm",
+        paired(lambda: transitions_along(loop, run, np.linspace(0, T, 81)), floor),
+        1,
+        "<= 3",
+    )
 
 
 def mimo(lin: mfc.Linearization) -> control.StateSpace:

@@ -33,7 +33,11 @@ def loops(robot: mfc.Robot, q: np.ndarray) -> dict[str, mfc.ClosedLoop]:
         "9.8": lambda: mfc.ClosedLoop(robot, mfc.laws.JointPID(60 * inertia, 60 * inertia, 15 * inertia), hold),
         "9.10": lambda: mfc.ClosedLoop(robot, mfc.laws.ComputedTorque(60, 60, 15), hold, controller_model=model),
         "9.16": lambda: mfc.ClosedLoop(
-            robot, mfc.laws.TaskComputedTorque(60, 60, 15, null_damping=5.0), mfc.trajectories.ToolHold(robot.pose(q)), q_start=q, controller_model=model
+            robot,
+            mfc.laws.TaskComputedTorque(60, 60, 15, null_damping=5.0),
+            mfc.trajectories.ToolHold(robot.pose(q)),
+            q_start=q,
+            controller_model=model,
         ),
         "9.23": lambda: mfc.ClosedLoop(
             robot, mfc.laws.DampedForcePI([0, 0, 5, 0, 0, 0], 0.3, None, 20.0), hold, environment=mfc.Environment(2e3, 20.0, axes="z", preload=5.0)

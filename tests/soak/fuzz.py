@@ -26,7 +26,10 @@ TWO = mfc.robots.planar_2r()
 Q = np.array([0.1, -1.2, 1.4, -0.8, 1.3, 0.2])
 
 scalars = st.one_of(
-    st.floats(-1e3, 1e3), st.floats(allow_nan=True, allow_infinity=True), st.integers(-3, 10), st.sampled_from([0, 1, -1, 1e-300, 1e300, True, None, "2", "x", b"1", 1j]),
+    st.floats(-1e3, 1e3),
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.integers(-3, 10),
+    st.sampled_from([0, 1, -1, 1e-300, 1e300, True, None, "2", "x", b"1", 1j]),
 )
 arrays = st.one_of(
     st.lists(st.floats(-10, 10), max_size=8),
@@ -47,7 +50,11 @@ CALLS: list[tuple[str, st.SearchStrategy, Callable[..., object]]] = [
     ("single_joint", st.tuples(scalars, scalars, scalars, scalars), mfc.robots.single_joint),
     ("slider", st.tuples(scalars, scalars), mfc.robots.slider),
     ("load", st.tuples(st.one_of(st.text(max_size=8), anything)), mfc.robots.load),
-    ("from_urdf", st.tuples(st.one_of(st.text(max_size=30), st.sampled_from(["<robot/>", "<robot name='a'><link name='b'/></robot>", "<x>"]), anything)), mfc.Robot.from_urdf),
+    (
+        "from_urdf",
+        st.tuples(st.one_of(st.text(max_size=30), st.sampled_from(["<robot/>", "<robot name='a'><link name='b'/></robot>", "<x>"]), anything)),
+        mfc.Robot.from_urdf,
+    ),
     ("payload", st.tuples(scalars, anything, anything), ARM.with_payload),
     ("friction", st.tuples(anything, anything), ARM.with_friction),
     ("armature", st.tuples(anything), ARM.with_armature),
@@ -59,19 +66,67 @@ CALLS: list[tuple[str, st.SearchStrategy, Callable[..., object]]] = [
     ("torques", st.tuples(joints(6), anything, st.sampled_from(["tool", "world", "x", None])), ARM.joint_torques),
     ("hold", st.tuples(joints(2)), lambda q: mfc.trajectories.Hold(q)(0.3)),
     ("quintic", st.tuples(joints(2), joints(2), scalars), lambda a, b, T: mfc.trajectories.Quintic(a, b, T)([0.0, 0.5])),
-    ("sinusoid", st.tuples(joints(2), anything, anything, anything), lambda c, a, f, p: (mfc.trajectories.Sinusoid(c, a, f, p)(0.3), mfc.trajectories.Sinusoid(c, a, f, p).period)),
+    (
+        "sinusoid",
+        st.tuples(joints(2), anything, anything, anything),
+        lambda c, a, f, p: (mfc.trajectories.Sinusoid(c, a, f, p)(0.3), mfc.trajectories.Sinusoid(c, a, f, p).period),
+    ),
     ("waypoints", st.tuples(anything, anything), lambda t, q: mfc.trajectories.Waypoints(t, q)(0.1)),
     ("toolline", st.tuples(anything, scalars), lambda X, T: mfc.trajectories.ToolLine(np.eye(4), X, T)(0.2)),
     ("toolsin", st.tuples(anything, anything, anything, scalars), lambda a, f, x, g: mfc.trajectories.ToolSinusoid(np.eye(4), a, f, x, g)(0.2)),
     ("circle", st.tuples(scalars, scalars, anything), lambda r, f, n: mfc.trajectories.ToolCircle(np.eye(4), r, f, n)(0.2)),
-    ("environment", st.tuples(anything, anything, st.one_of(st.none(), anything), st.one_of(st.sampled_from(["z", "xyz", "rz", "zz", ""]), anything), anything), mfc.Environment),
-    ("hardware", st.tuples(anything, anything, scalars, scalars, scalars, scalars), lambda a, b, c, d, e, f: mfc.Hardware(torque_lag=a, velocity_filter=b, delay=c, sample_time=d, force_delay=e, torque_limit=f)),
-    ("pid loop", st.tuples(gain, gain, gain, joints(2)), lambda p, i, d, q: mfc.ClosedLoop(TWO, mfc.laws.JointPID(p, i, d), mfc.trajectories.Hold(q)).linearize([0.0]).margins()),
-    ("ct loop", st.tuples(gain, gain, gain, scalars), lambda p, i, d, T: mfc.ClosedLoop(TWO, mfc.laws.ComputedTorque(p, i, d), mfc.trajectories.Hold([0.1, 0.2]), hardware=mfc.Hardware(delay=T)).linearize([0.0]).stable),
-    ("velocity", st.tuples(gain, gain), lambda p, i: mfc.ClosedLoop(TWO, mfc.laws.VelocityPI(p, i), mfc.trajectories.Hold([0.1, 0.2])).linearize([0.0]).margins()),
-    ("linearize", st.tuples(anything, st.sampled_from(["reference", "equilibrium", "simulation", "x"])), lambda t, about: mfc.ClosedLoop(TWO, mfc.laws.JointPID(9e3, 100, 2e3), mfc.trajectories.Hold([0.1, 0.2])).linearize(t, about).A),
-    ("simulate", st.tuples(st.one_of(st.floats(0.01, 0.1), anything), anything), lambda t, e: None if np.size(t) and np.asarray(t).dtype.kind in "fi" and np.abs(np.asarray(t)).max() > 2 else mfc.ClosedLoop(TWO, mfc.laws.JointPID(9e3, 100, 2e3), mfc.trajectories.Hold([0.1, 0.2])).simulate(t, initial_error=e)),
-    ("force law", st.tuples(anything, gain, gain, gain), lambda F, p, i, d: mfc.ClosedLoop(mfc.robots.slider(1.0), mfc.laws.DampedForcePI(F, p, i, d), mfc.trajectories.Hold([0.0]), environment=mfc.Environment(1e3)).linearize([0.0]).stable),
+    (
+        "environment",
+        st.tuples(anything, anything, st.one_of(st.none(), anything), st.one_of(st.sampled_from(["z", "xyz", "rz", "zz", ""]), anything), anything),
+        mfc.Environment,
+    ),
+    (
+        "hardware",
+        st.tuples(anything, anything, scalars, scalars, scalars, scalars),
+        lambda a, b, c, d, e, f: mfc.Hardware(torque_lag=a, velocity_filter=b, delay=c, sample_time=d, force_delay=e, torque_limit=f),
+    ),
+    (
+        "pid loop",
+        st.tuples(gain, gain, gain, joints(2)),
+        lambda p, i, d, q: mfc.ClosedLoop(TWO, mfc.laws.JointPID(p, i, d), mfc.trajectories.Hold(q)).linearize([0.0]).margins(),
+    ),
+    (
+        "ct loop",
+        st.tuples(gain, gain, gain, scalars),
+        lambda p, i, d, T: (
+            mfc.ClosedLoop(TWO, mfc.laws.ComputedTorque(p, i, d), mfc.trajectories.Hold([0.1, 0.2]), hardware=mfc.Hardware(delay=T))
+            .linearize([0.0])
+            .stable
+        ),
+    ),
+    (
+        "velocity",
+        st.tuples(gain, gain),
+        lambda p, i: mfc.ClosedLoop(TWO, mfc.laws.VelocityPI(p, i), mfc.trajectories.Hold([0.1, 0.2])).linearize([0.0]).margins(),
+    ),
+    (
+        "linearize",
+        st.tuples(anything, st.sampled_from(["reference", "equilibrium", "simulation", "x"])),
+        lambda t, about: mfc.ClosedLoop(TWO, mfc.laws.JointPID(9e3, 100, 2e3), mfc.trajectories.Hold([0.1, 0.2])).linearize(t, about).A,
+    ),
+    (
+        "simulate",
+        st.tuples(st.one_of(st.floats(0.01, 0.1), anything), anything),
+        lambda t, e: (
+            None
+            if np.size(t) and np.asarray(t).dtype.kind in "fi" and np.abs(np.asarray(t)).max() > 2
+            else mfc.ClosedLoop(TWO, mfc.laws.JointPID(9e3, 100, 2e3), mfc.trajectories.Hold([0.1, 0.2])).simulate(t, initial_error=e)
+        ),
+    ),
+    (
+        "force law",
+        st.tuples(anything, gain, gain, gain),
+        lambda F, p, i, d: (
+            mfc.ClosedLoop(mfc.robots.slider(1.0), mfc.laws.DampedForcePI(F, p, i, d), mfc.trajectories.Hold([0.0]), environment=mfc.Environment(1e3))
+            .linearize([0.0])
+            .stable
+        ),
+    ),
     ("hybrid", st.tuples(anything, anything), lambda F, A: mfc.laws.HybridMotionForce(F, 100, None, 20, constraints=A)),
     ("gains", st.tuples(scalars, scalars, scalars), lambda b, z, i: mfc.gains.pid(bandwidth=b, damping=z, inertia=i)),
     ("pd", st.tuples(scalars, scalars), lambda c, z: mfc.gains.pd(crossover=c, damping=z)),
@@ -112,7 +167,13 @@ def main() -> int:
         here = (name, call)
 
         @seed(asked.seed)
-        @settings(max_examples=max(asked.count // len(calls), 1) + 1, deadline=None, database=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck))
+        @settings(
+            max_examples=max(asked.count // len(calls), 1) + 1,
+            deadline=None,
+            database=None,
+            phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        )
         @given(inputs)
         def once(values: tuple[object, ...]) -> None:
             nonlocal ran
