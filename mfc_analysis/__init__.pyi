@@ -1,16 +1,5 @@
-from mfc_analysis import analysis as analysis
-from mfc_analysis import design as design
-from mfc_analysis import errors as errors
-from mfc_analysis import gains as gains
-from mfc_analysis import laws as laws
-from mfc_analysis import plots as plots
-from mfc_analysis import report as report
-from mfc_analysis import robots as robots
-from mfc_analysis import testing as testing
-from mfc_analysis import trajectories as trajectories
 from mfc_analysis.environment import Environment as Environment
 from mfc_analysis.hardware import Hardware as Hardware
-from mfc_analysis.laws import constraints as constraints
 from mfc_analysis.laws.constraints import ConstraintSet as ConstraintSet
 from mfc_analysis.linearization import Linearization as Linearization
 from mfc_analysis.loop import ClosedLoop as ClosedLoop
