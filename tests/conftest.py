@@ -70,7 +70,7 @@ def surfaces(name: str, q: np.ndarray) -> list[Environment]:
     X = arm(name).pose(q)
     tilted = X @ exp6(np.array([0.003, -0.004, 0.002, 0.5, -0.4, 0.6]))
     return [
-        Environment(3000.0, 12.0, pose=tilted, axes="zrxry", preload=[5.0, 0.3, -0.2]),
+        Environment([3000.0, 20.0, 15.0], [12.0, 0.3, 0.2], pose=tilted, axes="zrxry", preload=[5.0, 0.3, -0.2]),
         Environment([900.0, 400.0, 20.0], [3.0, 0.0, 0.4], pose=X @ exp6(np.array([0.0, 0.0, 0.001, -0.3, 0.7, 0.2])), axes="xyrz"),
     ]
 

@@ -226,11 +226,12 @@ def test_at_rest_a_tool_law_has_the_same_transfers_in_both_coordinates(case: Cas
     """From every input, the reference above all: a step of X_d is no step of the state X_e. (At rest: where something is left over, frames turn.)"""
     robot, q = arm("ur5"), regular_pose("ur5")
     law = case.law(6)
-    if law.senses_force:  # pressed in all directions its integrals never rest
-        law = replace(law, ki=None, kfi=None)
-    loop = ClosedLoop(plant("ur5"), law, Hold(q), robot, surfaces("ur5", q) if law.plant == "torque" else None)
-    about = "equilibrium" if law.plant == "torque" else "reference"
-    state, error = (loop.linearize([0.0], about, c) for c in ("state", "error"))
+    if law.senses_force:  # nothing to push against: the reference is its rest point where the model is exact
+        loop = ClosedLoop(robot, replace(law, F_d=np.zeros(6)), Hold(q))
+    else:
+        loop = ClosedLoop(plant("ur5"), law, Hold(q), robot, surfaces("ur5", q) if law.plant == "torque" else None)
+    state, error = (loop.linearize([0.0], coordinates=c) for c in ("state", "error"))
+    assert np.abs(error.residual).max() < 1e-9
     found = transfer(state)
     assert_allclose(transfer(error), found, atol=1e-9 * np.abs(found).max())
     assert np.abs(found[:, :, [state.input_names.index("X_d_vx")]]).max() > 0.1
