@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.equations import Equations, Inputs, Wires, reference_channels
+from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
 from mfc_analysis.maths.dual import Dual, Vector, concatenate, value
 from mfc_analysis.maths.se3 import bracket, log_rate
@@ -51,7 +52,7 @@ def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coo
     seeded = _seed(x, 0, nx)
     flow = equations.flow(times, seeded, lose_contact=lose_contact)
     rates = equations.join(flow.rates)
-    A = _tangent(rates, x.shape, nx)
+    A = _finite(_tangent(rates, x.shape, nx))
     if coordinates == "state":
         return A
     change = _error_coordinates(equations, times, seeded, flow.rates)
@@ -98,6 +99,7 @@ def open_system(
     rows += [_tangent(wires.recorded[name], (m, size), width) for name, size in sizes.items()]
     T = _tangent(equations.join(flow.rates), (m, nx), width)
     C = np.concatenate(rows, axis=1)
+    _finite(T)
     state_names = equations.state_names
     if coordinates == "error":
         change = _error_coordinates(equations, times, seeded, flow.rates)
@@ -127,6 +129,13 @@ def open_system(
         plant_states=equations.plant_states,
         law=type(equations.law).__name__,
     )
+
+
+def _finite(A: Array) -> Array:
+    """A itself; BadArgument where it has overflowed: a state out of this world."""
+    if not np.isfinite(A).all():
+        raise BadArgument("the operating point", "derivatives that are not finite", "positions, velocities and gains of a size that a robot has")
+    return A
 
 
 def _outputs(equations: Equations, x: Dual, error: Vector, command: Vector, F_tip: Vector) -> tuple[Array | Dual, tuple[str, ...]]:
