@@ -13,7 +13,22 @@ from mfc_analysis.laws.constraints import projection
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import inverse as inverse_pose
 from mfc_analysis.maths.se3 import log6
-from mfc_analysis.report.section import Column, Compare, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Section, Side, Status, Table, written
+from mfc_analysis.report.section import (
+    Column,
+    Compare,
+    Equation,
+    Fact,
+    Figure,
+    KeyFacts,
+    Math,
+    Number,
+    Paragraph,
+    Section,
+    Side,
+    Status,
+    Table,
+    written,
+)
 from mfc_analysis.report.sections.constraints import invariance_section
 from mfc_analysis.report.sections.force import POSE, arm, tiny
 from mfc_analysis.report.sections.hybrid import KP, NORMAL, hybrid_loop
@@ -87,9 +102,15 @@ def logarithm_section() -> Section:
         cost,
     )
     more = Paragraph(
-        "A difference of two poses is no pose. Read as the vector of X^-1 (X_d - X) its angle obeys tan(angle/2) = tan(angle_0/2) exp(-k t)."
+        (
+            "A difference of two poses is no pose. Read as the vector of ",
+            Math("X^(-1) (X_d - X)"),
+            " its angle obeys ",
+            Math("tan(theta slash 2) = tan(theta_0 slash 2) e^(-k t)"),
+            ".",
+        )
     )
-    checks = (at_most("departure from the closed form", 1e-4, 100 * away / start, "%", "9.5 as printed"),)
+    checks = (at_most("departure from theory", 1e-4, 100 * away / start, "%", "9.5 as printed"),)
     return Section(
         "9.5: the difference of two poses",
         cost,
@@ -141,7 +162,7 @@ def adjoint_section() -> Section:
         ),
         cost,
     )
-    checks = (at_most("departure from the closed form", 0.1, 100 * abs(turn / speed - 1), "%", "imaginary part = angular speed"),)
+    checks = (at_most("departure from theory", 0.1, 100 * abs(turn / speed - 1), "%", "imaginary part = angular speed"),)
     numbers = {"position_error_mm": sideways, "imaginary": turn, "angular_speed": speed, "exponent": {f: g for f, (_, _, g) in found.items()}}
     return Section("9.5 without the adjoint: a common slip", cost, (compare, figure), checks, numbers, SOURCES, key="misprint-9.5-adjoint")
 
@@ -350,7 +371,7 @@ def slips_section() -> Section:
     )
     checks = (
         at_most("off-diagonal of M of the RP arm", 1e-12, coupled["mass"], "kg m"),
-        at_most("departure from the closed form", 1e-9, 25 * abs(coupled["quadratic"] - 4), "%", "C q' is quadratic"),
+        at_most("departure from theory", 1e-9, 25 * abs(coupled["quadratic"] - 4), "%", "C q' is quadratic"),
     )
     return Section("Slips in the text", finding, body, checks, coupled, SOURCES, key="slips")
 

@@ -161,16 +161,7 @@ def delay_section() -> Section:
     agree = sum(settled == (late < limit) for late, _, settled in points)
     grown = np.arcsinh(found.growth)
     figure = Figure(
-        partial(
-            plots.stability_map,
-            T,
-            w,
-            grown,
-            xlabel="dead time [s]",
-            ylabel="triple pole at [rad/s]",
-            points=tuple(points),
-            title="Dead time x bandwidth",
-        ),
+        partial(plots.stability_map, T, w, grown, xlabel="dead time [s]", ylabel="triple pole at [rad/s]", points=tuple(points)),
         "Where 9.10 on the single joint is stable, by the exact roots; circles and crosses are simulated runs.",
         f"Stability map: at {at:g} rad/s stable up to {1e3 * limit:.4g} ms of dead time; {agree} of {len(points)} simulated points agree.",
     )

@@ -37,7 +37,7 @@ def at_least(name: str, asked: float, found: float, unit: str = "", where: str =
 
 def agreement(what: str, found: float, expected: float, percent: float) -> Check:
     """A check that a number differs from its closed form by at most ``percent`` [%] of that."""
-    return at_most("departure from the closed form", percent, 100 * abs(found - expected) / abs(expected), "%", what)
+    return at_most("departure from theory", percent, 100 * abs(found - expected) / abs(expected), "%", what)
 
 
 def verdict_of(stable: bool, drifts: bool = False) -> Status:

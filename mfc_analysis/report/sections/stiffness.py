@@ -52,9 +52,7 @@ class Mapped(NamedTuple):
     def figure(self, ylabel: str, title: str, said: str) -> Figure:
         """The map drawn, with its points."""
         grown = np.arcsinh(self.map.growth)
-        draw = partial(
-            plots.stability_map, self.map.stiffness, self.map.values, grown, xlabel="stiffness [N/m]", ylabel=ylabel, points=self.points, title=title
-        )
+        draw = partial(plots.stability_map, self.map.stiffness, self.map.values, grown, xlabel="stiffness [N/m]", ylabel=ylabel, points=self.points)
         alt = f"Stability map, {title}: {said}; {self.agree} of {len(self.points)} simulated points agree."
         return Figure(draw, f"{title}: {said}.", alt)
 
@@ -188,7 +186,7 @@ def arm_section() -> Section:
     m = over_stiffness(loop, SPAN[shown]).margins("force")
     rows = tuple(
         (
-            f"{SPAN[i]:g}",
+            f"{SPAN[i] / 1e3:g}",
             Number(float(m.phase_deg[r, 2]), infinite="no crossover", undefined="unstable"),
             Number(float(m.gain_increase_db[r, 2]), undefined="unstable"),
             Number(1e3 * float(m.delay[r, 2]), infinite="no crossover", undefined="unstable"),
@@ -198,7 +196,7 @@ def arm_section() -> Section:
         for r, i in enumerate(shown)
     )
     columns = (
-        Column("Stiffness", "N/m"),
+        Column("Stiffness", "kN/m"),
         Column("phase margin", "°"),
         Column("gain margin", "dB"),
         Column("delay margin", "ms"),

@@ -79,9 +79,9 @@ def velocity_section() -> Section:
     )
     m = lin.margins("command")
     checks = (
-        at_most("departure from the closed form", 1e-6, 100 * away / float(np.abs(first).max()), "%", "error over time"),
-        at_most("departure from the closed form", 1e-6, float(np.abs(m.phase_deg[0] / 90 - 1).max()) * 100, "%", "phase margin 90°"),
-        at_most("departure from the closed form", 1e-6, float(np.abs(m.delay[0] / (np.pi / (2 * k)) - 1).max()) * 100, "%", "delay margin π/(2k)"),
+        at_most("departure from theory", 1e-6, 100 * away / float(np.abs(first).max()), "%", "error over time"),
+        at_most("departure from theory", 1e-6, float(np.abs(m.phase_deg[0] / 90 - 1).max()) * 100, "%", "phase margin 90°"),
+        at_most("departure from theory", 1e-6, float(np.abs(m.delay[0] / (np.pi / (2 * k)) - 1).max()) * 100, "%", "delay margin π/(2k)"),
         *as_checks(ASKED.check(loop, [0.0], at="command")),
     )
     numbers = {"times": run.t, "error": run.error, "departure": away, "phase_deg": m.phase_deg[0], "delay": m.delay[0]}
@@ -136,7 +136,7 @@ def coordinates_section() -> Section:
         figure,
     )
     checks = tuple(
-        at_most("departure from the closed form", 1e-3, 100 * abs(getattr(x, kind) / slow[name] - 1), "%", f"{name}, {word}")
+        at_most("departure from theory", 1e-3, 100 * abs(getattr(x, kind) / slow[name] - 1), "%", f"{name}, {word}")
         for name, x in ((n, y._replace(error=y.error.max())) for n, y in two.items())
         for kind, word in (("error", "error coordinates"), ("truth", "true orbit"))
     )
@@ -223,11 +223,11 @@ def dynamics_section() -> Section:
             (
                 Fact("Lightest direction", Number(float(weight.min()), "kg"), "translation"),
                 Fact("Heaviest direction", Number(float(weight.max()), "kg"), "translation"),
-                Fact("Largest departure", Number(away, "Nm", 2), "of J^T F_b from 9.7"),
+                Fact("Largest departure", Number(away, "Nm", 2), "of the tool form from 9.7"),
             )
         ),
     )
-    checks = (at_most("departure from the closed form", 1e-8, 100 * away / float(np.abs(wanted).max()), "%", "J^T F_b against 9.7"),)
+    checks = (at_most("departure from theory", 1e-8, 100 * away / float(np.abs(wanted).max()), "%", "tool form against 9.7"),)
     return Section("The arm seen from its tool: 9.15", finding, body, checks, {"departure": away, "task_mass": weight}, SOURCES, key="tool-dynamics")
 
 
@@ -276,7 +276,7 @@ def torque_section() -> Section:
         response(lin, "torque", j, f"UR5, 9.16, {worst['torque'][2]}", i),
     )
     checks = (
-        at_most("departure from the closed form", 1e-6, 100 * away, "%", "error polynomial"),
+        at_most("departure from theory", 1e-6, 100 * away, "%", "error polynomial"),
         *as_checks(ASKED.check(real, t, at="torque")),
     )
     numbers = {"times": t, "polynomial_departure": away, "phase_deg": {p: m.phase_deg for p, m in at.items()}, "coordinates": lin.coordinates}
@@ -329,7 +329,7 @@ def redundant_section() -> Section:
     )
     slowest = float(np.roots([1, GAINS["kd"], GAINS["kp"], GAINS["ki"]]).real.max())
     found = float(damped.poles()[0].real[np.abs(damped.poles()[0]) > 0].max())
-    checks = (at_most("departure from the closed form", 1e-6, 100 * abs(found / slowest - 1), "%", "slowest pole"),)
+    checks = (at_most("departure from theory", 1e-6, 100 * abs(found / slowest - 1), "%", "slowest pole"),)
     numbers = {
         "neutral": [int(x.neutral[0]) for x in lins.values()],
         "drifts": [bool(x.drifts[0]) for x in lins.values()],
