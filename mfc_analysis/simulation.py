@@ -95,7 +95,7 @@ class Simulation:
         return np.stack([self.path.at(float(ti)) for ti in times])
 
     def operating_point(self, times: Array) -> OperatingPoint:
-        """The run as operating points to linearise along."""
+        """The run as operating points at times (m,) [s], to linearise along. Raises BadArgument outside the run."""
         return OperatingPoint(times, self.state(times), np.zeros((len(times), self.q.shape[1])))
 
     def __str__(self) -> str:

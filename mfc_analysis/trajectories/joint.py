@@ -262,7 +262,10 @@ def from_csv(path: str | os.PathLike[str]) -> Waypoints:
 
 
 def warn_outside_limits(robot: Robot, ref: JointReference, times: ArrayLike) -> tuple[str, ...]:
-    """Warn (``MfcWarning``) for each joint whose reference leaves its position or velocity limits at these times; the sentences are returned too."""
+    """Warn (``MfcWarning``) for each joint whose reference leaves its position or velocity limits at times (m,) [s].
+
+    Returns the sentences too. Raises BadArgument for times.
+    """
     t = checks.times(times)
     point, limits = ref(t), robot.limits
     found = []
