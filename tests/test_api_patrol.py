@@ -1,0 +1,170 @@
+"""The public names, patrolled: documented, in the guide, strict about keywords, and cheap to import."""
+
+from __future__ import annotations
+
+import enum
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mfc_analysis as mfc
+
+ROOT = Path(__file__).resolve().parent.parent
+GUIDE = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))])
+FACADES = ("design", "errors", "gains", "laws", "robots", "testing", "trajectories", "constraints", "report")
+HEAVY = ("matplotlib", "control", "pinocchio", "scipy", "slycot", "xarray", "typer", "pydantic", "joblib", "jinja2", "typst", "rich", "pandas")
+UNIT = re.compile(r"\[[^\]]*(?:rad|m|s|N|kg|deg|dB|-)[^\]]*\]|\([\w., ]+\)|dimensionless|scalar")
+
+
+def public_names() -> Iterator[tuple[str, Any]]:
+    """Every public name with its object: those of the package, and those of its public modules."""
+    for name in mfc.__all__:
+        yield f"mfc.{name}", getattr(mfc, name)
+    for module in FACADES:
+        found = getattr(mfc, module)
+        names = getattr(found, "__all__", None) or [n for n in vars(found) if not n.startswith("_") and _own(getattr(found, n), found.__name__)]
+        for name in names:
+            yield f"mfc.{module}.{name}", getattr(found, name)
+
+
+def _own(thing: Any, module: str) -> bool:
+    return (inspect.isclass(thing) or inspect.isfunction(thing)) and thing.__module__ == module
+
+
+PUBLIC = dict(public_names())
+FUNCTIONS = {name: thing for name, thing in PUBLIC.items() if inspect.isfunction(thing)}
+CLASSES = {name: thing for name, thing in PUBLIC.items() if inspect.isclass(thing) and thing.__module__.startswith("mfc_analysis")}
+
+
+def methods() -> Iterator[tuple[str, Any]]:
+    """Public methods and properties that the classes define themselves."""
+    for name, cls in CLASSES.items():
+        for key, thing in vars(cls).items():
+            if not key.startswith("_") and (inspect.isfunction(thing) or isinstance(thing, (property, classmethod, staticmethod))):
+                yield f"{name}.{key}", thing
+
+
+METHODS = dict(methods())
+
+
+def api_page() -> dict[str, tuple[str, ...] | None]:
+    """Module -> the members that the API page shows; None: all public ones."""
+    out: dict[str, tuple[str, ...] | None] = {}
+    for block in (ROOT / "docs" / "api.md").read_text(encoding="utf-8").split("::: ")[1:]:
+        found = re.search(r"members: \[([^\]]+)\]", block)
+        out[block.split()[0]] = tuple(name.strip() for name in found[1].split(",")) if found else None
+    return out
+
+
+API = api_page()
+
+
+def described(thing: Any) -> str:
+    return inspect.getdoc(thing) or ""
+
+
+@pytest.mark.parametrize("name", [*FUNCTIONS, *CLASSES])
+def test_a_public_name_has_a_docstring_of_its_own(name: str) -> None:
+    thing = PUBLIC[name]
+    doc = thing.__doc__ or ""
+    assert len(doc.strip()) > 15 and not doc.startswith(f"{thing.__name__}("), f"{name}: no docstring, or the one that dataclasses generate"
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_public_method_has_a_docstring(name: str) -> None:
+    assert described(METHODS[name]).strip(), name
+
+
+def wants_units(function: Callable[..., Any]) -> bool:
+    return any("ArrayLike" in str(p.annotation) or "Array" in str(p.annotation) for p in inspect.signature(function).parameters.values())
+
+
+@pytest.mark.parametrize("name", [name for name, f in {**FUNCTIONS, **METHODS}.items() if inspect.isfunction(f) and wants_units(f)])
+def test_a_function_of_arrays_says_shapes_or_units(name: str) -> None:
+    thing = {**FUNCTIONS, **METHODS}[name]
+    owner = described(PUBLIC.get(name.rsplit(".", 1)[0]))  # a method may lean on what its class says
+    assert UNIT.search(described(thing)) or UNIT.search(owner), name
+
+
+@pytest.mark.parametrize("name", [name for name in PUBLIC if not inspect.ismodule(PUBLIC[name])])
+def test_a_public_name_is_in_the_guide_or_the_api_page(name: str) -> None:
+    thing, short = PUBLIC[name], name.rsplit(".", 1)[1]
+    in_text = re.search(rf"`?mfc\.[\w.]*\b{short}\b|`{short}\b|import .*\b{short}\b", GUIDE) is not None
+    members = API.get(getattr(thing, "__module__", ""), ())
+    assert in_text or members is None or short in members, name
+
+
+@pytest.mark.parametrize("module", API)
+def test_the_api_page_names_modules_and_members_that_exist(module: str) -> None:
+    found = importlib.import_module(module)
+    for name in API[module] or ():
+        assert hasattr(found, name), f"{module} has no {name}"
+
+
+def takes_keywords(name: str) -> bool:
+    cls = CLASSES.get(name)
+    return cls is None or not issubclass(cls, (BaseException, tuple, enum.Enum))
+
+
+@pytest.mark.parametrize("name", [name for name in (*FUNCTIONS, *CLASSES) if takes_keywords(name)])
+def test_an_unknown_keyword_raises_type_error(name: str) -> None:
+    thing = PUBLIC[name]
+    if name in TAKES_ANY:
+        pytest.skip(TAKES_ANY[name])
+    with pytest.raises(TypeError):
+        thing(no_such_keyword=1)
+
+
+#: these take keywords of the caller's own, and check them themselves
+TAKES_ANY = {
+    "mfc.testing.assert_margins": "fields of Requirements by name: an unknown one is an UnknownName",
+}
+
+
+def test_an_unknown_figure_of_an_assertion_is_named() -> None:
+    loop = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.JointPID(kp=1.0, kd=1.0), mfc.trajectories.Hold([0.0]))
+    with pytest.raises(mfc.errors.UnknownName, match="phase_deg"):
+        mfc.testing.assert_margins(loop, phase_degs=45)
+
+
+def modules_after(code: str) -> set[str]:
+    """The modules loaded by ``code`` in a fresh interpreter."""
+    done = subprocess.run([sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"], capture_output=True, text=True, check=True, cwd=ROOT)
+    return set(done.stdout.split())
+
+
+def test_importing_the_package_loads_nothing_heavy_and_little_at_all() -> None:
+    before, after = modules_after("pass"), modules_after("import mfc_analysis")
+    assert not after & {*HEAVY, "numpy"}
+    ours = {name for name in after if name.startswith("mfc_analysis")}
+    assert ours == {"mfc_analysis"}
+    assert len(after - before) <= 10
+
+
+def test_a_loop_and_its_poles_load_no_matplotlib_and_no_control() -> None:
+    code = (
+        "import mfc_analysis as mfc; "
+        "mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.JointPID(kp=1.0, kd=1.0), mfc.trajectories.Hold([0.0])).linearize().margins()"
+    )
+    assert not modules_after(code) & {"matplotlib", "control", "slycot", "pandas", "pydantic", "typer"}
+
+
+def test_help_on_the_command_line_loads_no_science() -> None:
+    assert not modules_after("import mfc_analysis.cli") & {"numpy", "scipy", "matplotlib", "control", "pinocchio", "pydantic"}
+
+
+def test_the_stub_and_the_lazy_names_are_the_same() -> None:
+    stub = (ROOT / "mfc_analysis" / "__init__.pyi").read_text(encoding="utf-8")
+    assert set(re.findall(r" as (\w+)", stub)) == set(mfc.__all__)
+
+
+def test_an_unknown_attribute_says_what_there_is() -> None:
+    with pytest.raises(AttributeError, match="ClosedLoop"):
+        mfc.ClosedLop  # noqa: B018
