@@ -161,49 +161,6 @@ def test_an_integral_or_an_exact_model_leaves_no_residual():
         assert Requirements().check(mfc.ClosedLoop(mfc.robots.single_joint(), law, hold()), [0.0]).passed
 
 
-def test_the_residual_of_a_lagging_actuator_is_the_same_as_without():
-    law = mfc.laws.JointPID(40.0, kd=5.0)
-    found = [
-        Requirements().check(mfc.ClosedLoop(mfc.robots.single_joint(), law, hold(), hardware=h), [0.0]).line("residual").found
-        for h in (None, mfc.Hardware(torque_lag=1e-3))
-    ]
-    assert found[0] == pytest.approx(found[1], rel=1e-9)
-
-
-def test_tool_steps_of_an_exact_model_are_those_of_the_polynomial():
-    q = np.array([0, -0.9, 1.6, -0.7, 1.57, 0.0])
-    robot = mfc.robots.ur5()
-    law = mfc.laws.TaskComputedTorque(kp=100.0, kd=10.0)  # zeta 0.5, and the numerator kd s + kp
-    loop = mfc.ClosedLoop(robot, law, mfc.trajectories.ToolHold(robot.pose(q)), q_start=q)
-    tool = Requirements(overshoot=0.1, settling_time=1).check(loop, [0.0])
-    joint = Requirements(overshoot=0.1, settling_time=1).check(second_order(0.5, 10.0), [0.0])
-    for name in ("overshoot", "settling_time"):
-        assert tool.line(name).found == pytest.approx(joint.line(name).found, rel=1e-6)
-    assert tool.line("overshoot").where.startswith("X_")
-
-
-def test_force_steps_are_taken_on_the_axes_that_a_surface_resists():
-    verdict = Requirements(overshoot=1.0).check(pressing(), [0.0])
-    assert verdict.line("overshoot").where == "F_fz"
-
-
-def test_tracking_error_is_that_of_the_nonlinear_run():
-    robot = mfc.robots.ur5()
-    ref = mfc.trajectories.Quintic(np.full(6, 0.5), np.full(6, 0.8), 1.0)
-    loop = mfc.ClosedLoop(robot.with_payload(2.0), mfc.laws.ComputedTorque(kp=100, kd=20), ref, controller_model=robot)
-    line = Requirements(tracking_error=1.0).check(loop, [0.0, 1.0]).line("tracking_error")
-    run = loop.simulate(np.linspace(0, 1, 400))
-    assert line.found == pytest.approx(np.abs(run.error).max(), rel=1e-6)
-
-
-def test_torque_fraction_needs_limits_and_takes_the_smaller_ones():
-    loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.ComputedTorque(40.0, kd=10.0), hold(q=0.0))
-    assert math.isnan(Requirements(torque_fraction=1).check(loop, [0.0]).line("torque_fraction").found)
-    limited = mfc.ClosedLoop(loop.robot, loop.law, loop.ref, hardware=mfc.Hardware(torque_limit=2.0))
-    line = Requirements(torque_fraction=1).check(limited, [0.0]).line("torque_fraction")
-    assert line.found == pytest.approx(0.981 / 2.0, rel=1e-9) and line.where == "joint"
-
-
 def test_a_moving_reference_is_said_to_be_judged_in_frozen_time():
     ref = mfc.trajectories.Sinusoid([0.3], [0.1], 2.0)
     loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.ComputedTorque(40.0, kd=10.0), ref)
@@ -255,82 +212,6 @@ def test_the_table_has_failures_first_and_every_number():
     assert text.startswith("FAIL") and text.index("phase margin") < text.index("delay margin")
     assert "90 deg" in text and "≥ 95 deg" in text and "joint, t = 0 s" in text
     assert isinstance(verdict.lines[0], Line)
-
-
-# --- loops of the whole chapter --------------------------------------------------------------------------------------
-
-Q = np.array([0, -0.9, 1.6, -0.7, 1.57, 0.0])
-
-
-def hybrid(**hardware):
-    robot = mfc.robots.ur5()
-    law = mfc.laws.HybridMotionForce([0, 0, 10, 0, 0, 0], kp=100.0, kd=20.0, kfp=1.0, kfi=2.0, kdamp=50.0, constraints=np.eye(6)[2:3])
-    return mfc.ClosedLoop(
-        robot.with_payload(1.0),
-        law,
-        mfc.trajectories.ToolHold(robot.pose(Q)),
-        controller_model=robot,
-        environment=mfc.Environment(1e4, damping=10.0, preload=10.0),
-        q_start=Q,
-        hardware=mfc.Hardware(**hardware) if hardware else None,
-    )
-
-
-HYBRID_HARDWARE = [
-    {},
-    {"delay": 2e-3},
-    {"sample_time": 1e-3, "delay": 1e-3, "torque_lag": 2e-3, "velocity_filter": 1e-3},
-]
-
-
-@pytest.mark.parametrize("hardware", HYBRID_HARDWARE, ids=lambda h: ", ".join(h) or "ideal")
-def test_hybrid_loops_step_in_their_motion_and_force_axes_and_their_idle_integrals_are_not_roots_that_slide(hardware):
-    """Integrals of axes that nothing presses on lie at zero: with dead time they were judged, with sampling taken for a ramp."""
-    verdict = Requirements(settling_time=1.0, overshoot=0.4, damping_ratio=0.3).check(hybrid(**hardware), [0.0])
-    assert verdict.evidence.steps.channels == ("X_vx", "X_vy", "X_wx", "X_wy", "X_wz", "F_fz")
-    assert verdict.line("stable").found == pytest.approx(-1.0, rel=0.05)
-    for name in ("settling_time", "overshoot", "damping_ratio"):
-        assert verdict.line(name).status == "PASS"
-
-
-def test_dead_time_is_in_damping_and_in_the_rightmost_root():
-    k, T = 5.0, 0.1
-    loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.VelocityP(k), hold(), hardware=mfc.Hardware(delay=T))
-    verdict = Requirements(damping_ratio=0.5).check(loop, [0.0])
-    root = loop.linearize([0.0]).delay_roots(1)[0, 0]
-    assert abs(root + k * np.exp(-root * T)) < 1e-9
-    assert verdict.line("stable").found == pytest.approx(root.real, rel=1e-12)
-    assert verdict.line("damping_ratio").found == pytest.approx(-root.real / abs(root), rel=1e-9)
-    assert "rightmost" in verdict.line("damping_ratio").note
-
-
-def test_sampled_figures_tend_to_the_continuous_ones():
-    def made(**hardware):
-        return mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.ComputedTorque(kp=100.0, kd=14.0), hold(), hardware=mfc.Hardware(**hardware))
-
-    req = Requirements(phase_deg=1, damping_ratio=0.01, settling_time=10, overshoot=1)
-    ideal, sampled = (req.check(loop, [0.0]) for loop in (made(), made(sample_time=1e-4)))
-    for line in ideal.lines:
-        assert sampled.line(line.name).found == pytest.approx(line.found, rel=0.01)
-
-
-def test_an_open_loop_with_a_wrong_model_is_held_by_nothing():
-    robot = mfc.robots.slider()
-    loop = mfc.ClosedLoop(robot, mfc.laws.OpenLoopForce([0, 0, 5, 0, 0, 0]), hold(q=0.0))  # pushes into free space
-    assert Requirements().check(loop, [0.0]).line("residual").found == math.inf
-
-
-def test_a_spring_holds_what_the_open_loop_force_does_not_balance():
-    surface = mfc.Environment(1e3, damping=20.0, preload=2.0)  # 3 N missing: 3 mm
-    loop = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.OpenLoopForce([0, 0, 5, 0, 0, 0]), hold(q=0.0), environment=surface)
-    verdict = Requirements().check(loop, [0.0])
-    assert verdict.status == "WATCH" and verdict.line("residual").found == pytest.approx(3e-3, rel=1e-9)
-
-
-def test_an_integral_force_loop_that_starts_at_the_wrong_force_moves_until_it_is_right():
-    law = mfc.laws.DampedForcePI([0, 0, 5, 0, 0, 0], kfp=2.0, kfi=3.0, kdamp=40.0)
-    loop = mfc.ClosedLoop(mfc.robots.slider(mass=2.0), law, hold(q=0.0), environment=mfc.Environment(1e3, preload=1.0))
-    assert Requirements().check(loop, [0.0]).line("residual").found == pytest.approx(4e-3, rel=1e-9)
 
 
 def test_a_notebook_shows_the_table_with_words_and_escaped_names():
