@@ -167,7 +167,7 @@ def test_without_example_robot_data_the_error_says_what_to_install(monkeypatch):
         (robots.rp, {"masses": 1}),
         (robots.rp, {"inertias": (1, np.nan)}),
     ],
-    ids=str,
+    ids=lambda given: getattr(given, "__name__", str(given)),
 )
 def test_bad_numbers_for_an_embedded_robot_are_refused(make, wrong):
     with pytest.raises(ValueError):
