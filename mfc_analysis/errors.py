@@ -17,7 +17,9 @@ Warnings: ``MfcWarning`` (a ``UserWarning``) for what is suspicious but still ha
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
@@ -90,6 +92,22 @@ class NearPi(MfcError, ValueError):
         super().__init__(
             f"pose error{when}: its rotation angle is {angle:.6f} rad, within 1e-3 of pi, where the logarithm jumps; start nearer to the reference"
         )
+
+
+@contextmanager
+def one_warning() -> Iterator[None]:
+    """Of the warnings that a run repeats at each step (a Jacobian close to singular) only the first reaches the user."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MfcWarning)
+        try:
+            yield
+        finally:
+            kept, seen = list(caught), False
+    for one in kept:
+        ours = issubclass(one.category, MfcWarning)
+        if not (ours and seen):
+            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+        seen = seen or ours
 
 
 def _short(value: Any) -> str:

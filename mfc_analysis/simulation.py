@@ -7,9 +7,8 @@ model advances them. One-sided surfaces push and never pull; touch and lift are 
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from mfc_analysis.equations import Equations, Flow, Inputs
-from mfc_analysis.errors import BadArgument, MfcError, MfcWarning
+from mfc_analysis.errors import BadArgument, MfcError, one_warning
 from mfc_analysis.jacobians import closed_matrix
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import value
@@ -172,10 +171,8 @@ class _Run:
             self.stop(Outcome.DIVERGED, float(found.t[-1]), f"position or velocity beyond {FAR:g}")
             return None
         if found.status < 0:
-            if self.refused is not None:
-                self.stop(Outcome.REFUSED, float(found.t[-1]), str(self.refused))
-            else:
-                self.stop(Outcome.SOLVER, float(found.t[-1]), str(found.message))
+            outcome = Outcome.SOLVER if self.refused is None else Outcome.REFUSED
+            self.stop(outcome, float(found.t[-1]), str(self.refused or found.message))
             return None
         self.refused = None
         return np.asarray(found.y[:, -1])
@@ -271,7 +268,7 @@ def simulate(
     if np.abs(moving).max() > FAR:
         raise BadArgument("the start", float(np.abs(moving).max()), f"positions and velocities up to {FAR:g}")
     e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # an impossible start is an error, not an outcome
-    with _one_warning():
+    with one_warning():
         if len(asked) > 1:
             _run(run, asked, x0)
         return _gathered(run, asked)
@@ -291,30 +288,18 @@ def _run(run: _Run, asked: Array, x0: Array) -> None:
         _run_continuous(run, asked, x0)
 
 
-@contextmanager
-def _one_warning() -> Iterator[None]:
-    """Of the warnings that a run repeats at each step (a Jacobian close to singular) only the first reaches the user."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", MfcWarning)
-        try:
-            yield
-        finally:
-            kept, seen = list(caught), False
-    for one in kept:
-        ours = issubclass(one.category, MfcWarning)
-        if not (ours and seen):
-            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
-        seen = seen or ours
-
-
 def _run_continuous(run: _Run, asked: Array, x0: Array) -> None:
     e, lose = run.equations, run.one_sided
 
     def rates(t: float, x: Array) -> Array:
         return value(e.join(e.flow(t, x, None, run.inputs(t), lose_contact=lose).rates))
 
+    known = [np.zeros((e.nx, e.nx))]
+
     def jac(t: float, x: Array) -> Array:
-        return np.asarray(closed_matrix(e, np.array([t]), x[None], lose_contact=lose)[0], float)
+        with suppress(MfcError):  # a trial step too far: the rates will say so; for the solver the last one will do
+            known[0] = closed_matrix(e, np.array([t]), x[None], lose_contact=lose)[0]
+        return known[0]
 
     run.integrate(rates, float(asked[0]), float(asked[-1]), x0, jac)
 
@@ -345,8 +330,8 @@ def _gathered(run: _Run, asked: Array) -> Simulation:
 def _signals(run: _Run, t: Array, x: Array) -> tuple[Array, Array, Flow]:
     """The signals along the run, without the last points where the law could not be evaluated any more."""
     while True:
-        disturbance = None if run.disturbance is None else np.stack([run.disturbance(float(ti)) for ti in t])
         try:
+            disturbance = None if run.disturbance is None else np.stack([run.disturbance(float(ti)) for ti in t])
             return t, x, run.equations.flow(t, x, None, Inputs(disturbance=disturbance), lose_contact=run.one_sided)
         except MfcError:
             if run.outcome is not Outcome.REFUSED or len(t) == 1:
@@ -446,6 +431,6 @@ def _disturbance(given: ArrayLike | Callable[[float], ArrayLike] | None, n: int)
     if callable(given):
         function = given
         checks.per_joint("disturbance", function(0.0), n)
-        return lambda t: np.broadcast_to(np.asarray(function(t), float), (n,))
+        return lambda t: checks.per_joint("disturbance", function(t), n)
     constant = checks.per_joint("disturbance", given, n)
     return lambda t: constant
