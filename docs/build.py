@@ -31,11 +31,13 @@ import tempfile
 import time
 import traceback
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -126,7 +128,9 @@ def _same(want: str, got: str) -> bool:
 def run_page(page: Path) -> int:
     """Runs the blocks of a page in the current folder; returns how many. Raises Wrong."""
     warnings.filterwarnings("error", module=r"mfc_analysis\b")
-    names: dict[str, Any] = {"__name__": page.stem}
+    module = ModuleType(page.stem)
+    sys.modules[page.stem] = module  # where dataclasses look up what they are made of
+    names = vars(module)
     count = 0
     for block in blocks(page):
         if block.file is not None:
@@ -151,7 +155,7 @@ def _run_python(page: Path, block: Block, names: dict[str, Any]) -> None:
     try:
         with warnings.catch_warnings(), contextlib.redirect_stdout(printed):
             warnings.simplefilter("error", MfcWarning)
-            exec(compile(text, name, "exec"), names)
+            exec(compile(text, name, "exec", dont_inherit=True), names)
     except BaseException as why:  # whatever it is, the page is wrong
         raise Wrong(f"{name}:{block.line}: {''.join(traceback.format_exception(why)[-4:])}") from why
     if block.shown is not None and not agree(block.shown, printed.getvalue()):
@@ -204,6 +208,11 @@ def checked(page: Path) -> str | None:
         except subprocess.TimeoutExpired:
             return f"{page.name}: its blocks take longer than {LONGEST} s"
     return None if done.returncode == 0 else f"{done.stdout}{done.stderr}"
+
+
+def _timed(page: Path) -> tuple[str | None, float]:
+    start = time.perf_counter()
+    return checked(page), time.perf_counter() - start
 
 
 _made: list[tempfile.TemporaryDirectory[str]] = []
@@ -264,14 +273,15 @@ def main() -> int:
             return 1
         return 0
     wrong = 0
-    for page in asked.pages or [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
-        start = time.perf_counter()
-        said = checked(page)
-        verdict, took = "ok   " if said is None else "WRONG", time.perf_counter() - start
-        print(f"{verdict} {page.name:<18} {len(blocks(page)):3d} blocks  {took:5.1f} s", flush=True)
-        if said is not None:
-            wrong += 1
-            print(said, flush=True)
+    pages = asked.pages or [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    _prepared()
+    with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
+        for page, (said, took) in zip(pages, pool.map(_timed, pages), strict=True):
+            verdict = "ok   " if said is None else "WRONG"
+            print(f"{verdict} {page.name:<18} {len(blocks(page)):3d} blocks  {took:5.1f} s", flush=True)
+            if said is not None:
+                wrong += 1
+                print(said, flush=True)
     if asked.pages:
         return 1 if wrong else 0
     site = build_site()
