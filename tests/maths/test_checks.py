@@ -16,7 +16,10 @@ def test_arrays_are_copied_read_only_floats() -> None:
     assert out.dtype == float and out[0] == 1.0 and not out.flags.writeable
 
 
-@pytest.mark.parametrize("value", [None, "a", "3", [1, None], [[1], [2, 3]], np.nan, [np.inf], {}, object(), 2j, b"1"], ids=lambda given: type(given).__name__ if type(given) is object else repr(given))
+NOT_NUMBERS = [None, "a", "3", [1, None], [[1], [2, 3]], np.nan, [np.inf], {}, object(), 2j, b"1"]
+
+
+@pytest.mark.parametrize("value", NOT_NUMBERS, ids=lambda given: type(given).__name__ if type(given) is object else repr(given))
 def test_what_is_not_finite_numbers_is_refused_with_its_data(value: object) -> None:
     with pytest.raises(BadArgument) as info:
         checks.array("x", value)
