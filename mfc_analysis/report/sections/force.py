@@ -32,7 +32,7 @@ from mfc_analysis.report.section import (
     Text,
     written,
 )
-from mfc_analysis.report.sections.pieces import agreement, at_least, at_most, in_words, pole_map, poles_table, response
+from mfc_analysis.report.sections.pieces import agreement, at_least, at_most, in_words, pole_map, poles_table, response, validated
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold
 
@@ -350,7 +350,13 @@ def arm_section() -> Section:
         response(lin, "torque", j, f"UR5, 9.23, {t.channels[j]}", span=(0.1, 3e3)),
         poles_table([(name, x.poles()[0]) for name, x in lins.items()], 5, "The slowest closed-loop poles that are not at zero."),
     )
-    numbers = {"verdicts": {name: row[1] for name, row in zip(lins, rows, strict=True)}, **margin_numbers(lin), "torque_phase_deg": t.phase_deg[0]}
+    numbers = {
+        "verdicts": {name: row[1] for name, row in zip(lins, rows, strict=True)},
+        **margin_numbers(lin),
+        "torque_phase_deg": t.phase_deg[0],
+        "poles": lin.poles()[0],
+        "validation": validated(arm_loop(1e4), 0.05),
+    }
     return Section(
         "The UR5 pressing on a surface: 9.21 to 9.23",
         finding,

@@ -16,7 +16,7 @@ from mfc_analysis.laws.constraints import projection
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report.section import Block, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, written
 from mfc_analysis.report.sections.force import KFI, KFP, POSE, Z, arm, tiny
-from mfc_analysis.report.sections.pieces import agreement, at_least, at_most, in_words, response
+from mfc_analysis.report.sections.pieces import agreement, at_least, at_most, in_words, response, validated
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.stiffness import over_stiffness
 from mfc_analysis.trajectories import ToolHold, ToolSinusoid
@@ -113,7 +113,12 @@ def margins_section() -> Section:
         at_least("gain margin, up", 6.0, float(f.gain_increase_db[0, 2]), "dB", "force, fz"),
         at_most("sensitivity peak", 2.0, float(f.sensitivity_peak[0, 2]), "", "force, fz"),
     )
-    numbers = {"force_phase_deg": {k: r[2] for k, r in zip(lins, rows, strict=True)}, "motion_phase_deg": c.phase_deg[0], "poles": lin.poles()[0]}
+    numbers = {
+        "force_phase_deg": {k: r[2] for k, r in zip(lins, rows, strict=True)},
+        "motion_phase_deg": c.phase_deg[0],
+        "poles": lin.poles()[0],
+        "validation": validated(hybrid_loop(), 0.05),
+    }
     return Section("Hybrid control, both halves: 9.24", finding, body, checks, numbers, SOURCES, loop="UR5, 9.24", key="hybrid")
 
 

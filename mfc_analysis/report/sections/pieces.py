@@ -16,6 +16,7 @@ from mfc_analysis.report.section import Cell, Check, Column, Figure, Row, Sectio
 
 if TYPE_CHECKING:
     from mfc_analysis.linearization import Linearization
+    from mfc_analysis.loop import ClosedLoop
 
 Array = NDArray[np.float64]
 
@@ -93,6 +94,12 @@ def poles_table(rows: Sequence[tuple[str, NDArray[np.complex128]]], count: int, 
         kept = [complex(p) for p in np.asarray(values) if abs(p) > 0 and p.imag >= 0][:count]
         out.append((name, *kept, *("" for _ in range(count - len(kept)))))
     return Table(caption, columns, tuple(out))
+
+
+def validated(loop: ClosedLoop, time: float) -> dict[str, float]:
+    """Linear against nonlinear over ``time`` [s], for the chapter's table: misfit, reach and Taylor order."""
+    found = loop.validate(time=time)
+    return {"nrmse": found.nrmse, "radius": found.radius, "taylor_order": found.taylor_order}
 
 
 def slowest(values: NDArray[np.complex128]) -> complex:

@@ -16,7 +16,7 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report.checks import checks as as_checks
 from mfc_analysis.report.section import Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, Text, written
 from mfc_analysis.report.sections.force import POSE, arm
-from mfc_analysis.report.sections.pieces import LYNCH, SICILIANO, at_most, in_words, poles_table, response
+from mfc_analysis.report.sections.pieces import LYNCH, SICILIANO, at_most, in_words, poles_table, response, validated
 from mfc_analysis.requirements import Requirements
 from mfc_analysis.trajectories import ToolHold, ToolSinusoid, from_tool_path
 
@@ -84,7 +84,15 @@ def velocity_section() -> Section:
         at_most("departure from theory", 1e-6, float(np.abs(m.delay[0] / (np.pi / (2 * k)) - 1).max()) * 100, "%", "delay margin π/(2k)"),
         *as_checks(ASKED.check(loop, [0.0], at="command")),
     )
-    numbers = {"times": run.t, "error": run.error, "departure": away, "phase_deg": m.phase_deg[0], "delay": m.delay[0]}
+    numbers = {
+        "times": run.t,
+        "error": run.error,
+        "departure": away,
+        "phase_deg": m.phase_deg[0],
+        "delay": m.delay[0],
+        "poles": lin.poles()[0],
+        "validation": validated(loop, 1.0),
+    }
     return Section("Tool velocity control: 9.5", finding, body, checks, numbers, SOURCES, loop="UR5, 9.5", key="tool-velocity")
 
 
@@ -243,6 +251,7 @@ def torque_section() -> Section:
     away = float(max(np.abs(np.poly(A) / six - 1).max() for A in exact.A))
     real = ClosedLoop(arm().with_payload(2.0), law, path(), controller_model=arm(), q_start=POSE, hardware=Hardware(torque_lag=2e-3))
     lin = real.linearize(t)
+    still = ClosedLoop(arm().with_payload(2.0), law, ToolHold(arm().pose(POSE)), controller_model=arm(), q_start=POSE)
     at = {point: lin.margins(point) for point in ("torque", "command")}
     worst = {point: m.worst().phase_deg for point, m in at.items()}
     finding = (
@@ -279,7 +288,15 @@ def torque_section() -> Section:
         at_most("departure from theory", 1e-6, 100 * away, "%", "error polynomial"),
         *as_checks(ASKED.check(real, t, at="torque")),
     )
-    numbers = {"times": t, "polynomial_departure": away, "phase_deg": {p: m.phase_deg for p, m in at.items()}, "coordinates": lin.coordinates}
+    numbers = {
+        "times": t,
+        "polynomial_departure": away,
+        "phase_deg": {p: m.phase_deg for p, m in at.items()},
+        "coordinates": lin.coordinates,
+        "poles": lin.poles()[i],
+        "worst": {"time": float(t[i])},
+        "validation": validated(still, 0.2),
+    }
     note: Text = ("Poles and margins are in ", Math("(X_e, V_e, z)", "error coordinates"), ", frozen at each time.")
     return Section(
         "Computed torque in tool space: 9.16", finding, (*body, Paragraph(note)), checks, numbers, SOURCES, loop="UR5, 9.16", key="tool-torque"
