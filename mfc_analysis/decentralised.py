@@ -66,7 +66,8 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
         raise Unsupported("decentralised", type(law).__name__, "a joint-space law in continuous time: a loop for each joint")
     system = open_system(equations, point.times, point.x)
     m = len(point.times)
-    picks, integrals = [], []
+    picks: list[Array] = []
+    integrals: list[int] = []
     for where, slot in equations.parts.values():
         size = where.stop - where.start
         if size % n or (slot.name == "outer" and law.system[3].shape != (1, 1)):  # type: ignore[attr-defined]

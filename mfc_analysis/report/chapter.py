@@ -1,4 +1,4 @@
-"""The chapter's report: every equation's loops on the embedded arms, judged by one set of limits. Banner, matrix and worst case are computed from them."""
+"""The chapter's report: every equation's loops on the embedded arms, judged by one set of limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mfc_analysis.report.write import FORMATS, Progress, render
 
 ROOM = "mfc_analysis.report.sections"
 #: the modules that tell the chapter, in its order; each offers ``sections() -> tuple[Section, ...]``
-PARTS = ("velocity", "joint_torque", "task", "constraints", "force", "hybrid", "stiffness", "misprints", "errata")
+PARTS = ("velocity", "joint_torque", "task", "constraints", "force", "hybrid", "stiffness", "hardware", "misprints", "errata")
 TOOL, FORCE = ("task",), ("constraints", "force", "hybrid", "stiffness")
 
 Part = Callable[[], Iterable[Section]]
@@ -116,7 +116,11 @@ def validity(sections: Iterable[Section]) -> Section | None:
     if not rows or nearest is None:
         return None
     columns = (Column("Loop", numeric=False), Column("Misfit at 0.01", "%"), Column("Holds up to", "rad, m"), Column("Taylor order"))
-    table = Table("The linear model against the nonlinear loop, from a start 0.01 rad (m) off the path; it holds as long as the misfit is below 5 %.", columns, tuple(rows))
+    table = Table(
+        "The linear model against the nonlinear loop, from a start 0.01 rad (m) off the path; it holds as long as the misfit is below 5 %.",
+        columns,
+        tuple(rows),
+    )
     reach = str(Number(nearest[0], "rad", infinite="any size tried"))
     finding = f"Of {len(rows)} loops the linear model of {nearest[1]} stops holding first: at {reach}."
     return Section("Linear against nonlinear", finding, (table,), key="linear-against-nonlinear")
@@ -134,7 +138,11 @@ def all_poles(sections: Iterable[Section]) -> Section | None:
     if not rows:
         return None
     columns = (Column("Loop", numeric=False), Column("t", "s"), Column("Poles [1/s]", numeric=False))
-    return Section("All poles", body=(Table("Closed-loop poles of every loop at its worst place, slowest first; × counts those that are alike.", columns, tuple(rows)),), key="all-poles")
+    return Section(
+        "All poles",
+        body=(Table("Closed-loop poles of every loop at its worst place, slowest first; × counts those that are alike.", columns, tuple(rows)),),
+        key="all-poles",
+    )
 
 
 def poles_words(poles: Iterable[complex]) -> str:
@@ -169,7 +177,10 @@ def _scope() -> Scope:
         ),
         not_checked=(
             "stability of the moving loops: all figures are frozen in time",
-            "actuator lag, dead time, sampling, joint flexibility and torque limits in the joint-space loops (their delay margins say how much they bear)",
+            (
+                "actuator lag, dead time, sampling, joint flexibility and torque limits in the joint-space loops (their delay margins say how much"
+                " they bear)"
+            ),
             "other payloads, poses and speeds than those of the paths; sensor noise and quantisation",
         ),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +56,8 @@ def sensitivity(view: View) -> KeyFacts:
         up = (float(20 * np.log10(w.gain_increase[0])), *w.gain_increase[1:])
     return KeyFacts(
         (
-            fact("Gain may fall by", down, "dB", infinite="any amount"),  # type: ignore[arg-type]
-            fact("Gain may rise by", up, "dB", infinite="any amount"),  # type: ignore[arg-type]
+            fact("Gain may fall by", down, "dB", infinite="any amount"),
+            fact("Gain may rise by", up, "dB", infinite="any amount"),
             fact("Phase margin", w.phase_deg, "°", infinite="no crossover"),
             fact("Delay margin", w.delay, "ms", 1e3, "any delay"),
             fact("Sensitivity peak", w.sensitivity_peak, ""),
@@ -87,7 +87,7 @@ def three_numbers(view: View) -> KeyFacts:
 
 def pole_rows(view: View, most: int = 24) -> Table:
     """Poles at the worst place, slowest first: natural frequency, damping, time constant."""
-    i = view.worst.index
+    i = view.worst.row
     rows = []
     for p in view.lin.pole_table(i):
         if p.value.imag < 0 and p.kind != "zero":
@@ -104,7 +104,7 @@ def pole_rows(view: View, most: int = 24) -> Table:
 
 def points_table(view: View) -> Table | None:
     """The worst margins at every analysis point of the law; None if there is only one."""
-    points = [p for p in view.lin.opened.points]
+    points = view.lin.opened.points
     if len(points) < 2:
         return None
     rows = []
@@ -122,7 +122,14 @@ def points_table(view: View) -> Table | None:
                 Number(w.sensitivity_peak[0]),
             )
         )
-    columns = (Column("Opened at", numeric=False), Column("Gain down", "dB"), Column("Gain up", "dB"), Column("Phase", "°"), Column("Delay", "ms"), Column(Math("M_s")))
+    columns = (
+        Column("Opened at", numeric=False),
+        Column("Gain down", "dB"),
+        Column("Gain up", "dB"),
+        Column("Phase", "°"),
+        Column("Delay", "ms"),
+        Column(Math("M_s")),
+    )
     return Table("The worst margins at every point where this loop can be opened, one channel at a time.", columns, tuple(rows))
 
 
@@ -141,10 +148,10 @@ def frequency_figures(view: View, at: str | None = None, label: str = "") -> tup
     L = view.response(grid, point, k)
     if np.abs(L).max() < 1e-9:
         return (Paragraph(f"Nothing is fed back at “{point}” in {m.channels[k]}: L = 0."),)
-    known = of_channel(m, w.index, k)
-    ms = float(m.sensitivity_peak[w.index, k])
+    known: dict[str, Any] = dict(of_channel(m, w.row, k))
+    ms = float(m.sensitivity_peak[w.row, k])
     where = place_words(m.channels[k], w.time, len(view.times))
-    said = margins_words(m, w.index, k) if view.stable else "the closed loop is unstable, so no margin is drawn"
+    said = margins_words(m, w.row, k) if view.stable else "the closed loop is unstable, so no margin is drawn"
     head = f"{label}: " if label else ""
     bode = Figure(
         partial(plots.bode, grid, L, index=k, **known),
@@ -153,7 +160,11 @@ def frequency_figures(view: View, at: str | None = None, label: str = "") -> tup
     )
     nyquist = Figure(
         partial(plots.nyquist, grid, L, sensitivity_peak=ms, index=k, **known),
-        ("The same loop; the disc about −1 has the radius ", Math("1/M_s"), ", and L never enters it.") if np.isfinite(ms) else "The same loop; −1 is marked.",
+        (
+            ("The same loop; the disc about −1 has the radius ", Math("1/M_s"), ", and L never enters it.")
+            if np.isfinite(ms)
+            else "The same loop; −1 is marked."
+        ),
         f"Nyquist plot of {view.name}: {'sensitivity peak ' + written(ms) if np.isfinite(ms) else 'the loop is unstable'}.",
     )
     return (Row((bode, nyquist)),)
@@ -171,15 +182,16 @@ def margins_words(m: Margins, i: int, k: int) -> str:
 def pole_map(view: View) -> Figure:
     """Poles at the worst place, those of the other times in grey."""
     w, found = view.worst, view.poles
-    slow = found[w.index][np.argmax(view.evidence._spectrum.rates[w.index].real)] if found.shape[1] else 0
+    slow = found[w.row][np.argmax(view.evidence._spectrum.rates[w.row].real)] if found.shape[1] else 0
     path = found if len(found) > 1 and np.abs(found - found[:1]).max() > 1e-6 * np.abs(found).max(initial=1e-9) else None
     what = "rightmost" if not view.lin.dt else "outermost"
     asked = view.requirements.damping_ratio
     where = "" if len(view.times) == 1 else f" at t = {written(round(w.time, 4), exact=True)} s"
     return Figure(
-        partial(plots.poles, found[w.index], damping=asked, path=path, discrete=bool(view.lin.dt), index=w.channel),
+        partial(plots.poles, found[w.row], damping=asked, path=path, discrete=bool(view.lin.dt), index=w.channel),
         f"Closed-loop poles{where}" + ("; grey: at the other times." if path is not None else "."),
-        f"Pole map of {view.name}{where}: {what} pole {complex_words(complex(slow))}; {'stable' if view.verdict.line('stable').status == 'PASS' else 'not stable'}.",
+        f"Pole map of {view.name}{where}: {what} pole {complex_words(complex(slow))};"
+        f" {'stable' if view.verdict.line('stable').status == 'PASS' else 'not stable'}.",
     )
 
 
@@ -231,7 +243,10 @@ def step_words(run: StepRun) -> str:
     elif not np.isfinite(found.overshoot):
         first = "the linear response comes back to zero"
     else:
-        first = f"the linear model rises in {Number(found.rise, 's')}, settles in {Number(found.settling, 's')}, overshoots by {written(100 * found.overshoot)} %"
+        first = (
+            f"the linear model rises in {Number(found.rise, 's')}, settles in {Number(found.settling, 's')}, overshoots by"
+            f" {written(100 * found.overshoot)} %"
+        )
     if run.said:
         return f"{first}; the nonlinear run stopped: {run.said}"
     return f"{first}; the nonlinear run is never farther from it than {written(100 * run.misfit)} % of the step"
@@ -244,7 +259,9 @@ def history(view: View, most: int = 4) -> Figure | None:
     m, asked = view.margins, view.requirements.asked()
     w = m.worst()
     said = str(w) if view.stable else f"unstable at {int((~view.evidence.judged).sum())} of {len(view.times)} times"
-    figures = tuple(f for f in ("phase_deg", "gain_reduction_db", "gain_increase_db", "delay", "sensitivity_peak") if _worth(m, f))[:most] or ("phase_deg",)
+    figures = tuple(f for f in ("phase_deg", "gain_reduction_db", "gain_increase_db", "delay", "sensitivity_peak") if _worth(m, f))[:most] or (
+        "phase_deg",
+    )
     return Figure(
         partial(plots.margin_history, m, {k: v for k, v in asked.items() if k in _LIMITS}, figures=figures),
         f"Margins along the path, opened at “{view.point}”; dashed: what was asked; the ring marks the worst.",
@@ -274,10 +291,10 @@ def scrubber(view: View) -> Scrubber | None:
         return None
     said = view.tightest()
     return Scrubber(
-        view.times,
+        view.times.tolist(),
         view.poles,
         tuple(traces[:3]),
-        view.worst.index,
+        view.worst.row,
         "Poles (grey: their paths) and the smallest margins at one time of the path.",
         f"Poles and margins of {view.name} along the path; {said}.",
     )
@@ -285,15 +302,25 @@ def scrubber(view: View) -> Scrubber | None:
 
 def arm_figure(view: View) -> Figure:
     """The arm as a stick figure along the path."""
-    keep = np.unique(np.append(np.round(np.linspace(0, len(view.times) - 1, min(len(view.times), 60))).astype(int), view.worst.index))
+    keep = np.unique(np.append(np.round(np.linspace(0, len(view.times) - 1, min(len(view.times), 60))).astype(int), view.worst.row))
     q = view.loop.nominal(view.times).q[keep]
     origins = skeleton(view.loop.robot, q)
     tool = origins[-1, -1]
-    worst = int(np.searchsorted(keep, view.worst.index))
+    worst = int(np.searchsorted(keep, view.worst.row))
     moving = len(keep) > 1 and np.abs(q - q[0]).max() > 1e-9
-    said = f"the tool ends at ({', '.join(written(float(x)) for x in tool)}) m" if moving else f"the tool is at ({', '.join(written(float(x)) for x in tool)}) m"
+    said = (
+        f"the tool ends at ({', '.join(written(float(x)) for x in tool)}) m"
+        if moving
+        else f"the tool is at ({', '.join(written(float(x)) for x in tool)}) m"
+    )
     return Figure(
-        partial(plots.arm, origins, worst=worst, worst_time=float(view.worst.time) if moving else None, title="Poses along the path" if moving else "The pose"),
+        partial(
+            plots.arm,
+            origins,
+            worst=worst,
+            worst_time=float(view.worst.time) if moving else None,
+            title="Poses along the path" if moving else "The pose",
+        ),
         f"The arm along its path{', the pose of the worst case in colour' if moving else ''}; {said}.",
         f"Stick figure of {view.loop.robot.name}: {said}.",
     )
@@ -318,6 +345,12 @@ def validation_words(found: Validation, unit: str = "rad") -> str:
     """The comparison with the nonlinear loop, in words."""
     if np.isnan(found.nrmse):
         return "the nonlinear run from the operating point diverges, so there is nothing to compare"
-    reach = f"any size tried (up to 3 {unit})" if np.isinf(found.radius) else "no size tried" if found.radius <= 0 else f"{written(found.radius)} {unit}"
-    order = "the remainder is rounding (the loop is linear)" if np.isinf(found.taylor_order) else f"the remainder shrinks with power {written(found.taylor_order)} of the size"
+    reach = (
+        f"any size tried (up to 3 {unit})" if np.isinf(found.radius) else "no size tried" if found.radius <= 0 else f"{written(found.radius)} {unit}"
+    )
+    order = (
+        "the remainder is rounding (the loop is linear)"
+        if np.isinf(found.taylor_order)
+        else f"the remainder shrinks with power {written(found.taylor_order)} of the size"
+    )
     return f"the linear model is off by {written(100 * found.nrmse)} %; it stays within 5 % up to {reach}; {order}"

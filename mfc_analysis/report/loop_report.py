@@ -161,11 +161,18 @@ def scope(views: Sequence[View]) -> Scope:
     points = []
     for v in views[:6]:
         t = v.times
-        span = f"t = {written(float(t[0]), exact=True)} s" if len(t) == 1 else f"{len(t)} times from {written(float(t[0]), exact=True)} to {written(float(t[-1]), exact=True)} s"
+        span = (
+            f"t = {written(float(t[0]), exact=True)} s"
+            if len(t) == 1
+            else f"{len(t)} times from {written(float(t[0]), exact=True)} to {written(float(t[-1]), exact=True)} s"
+        )
         points.append(f"{v.name if len(views) > 1 else 'on the reference'}: {span}, coordinates “{v.lin.coordinates}”, margins at “{v.point}”")
     if len(views) > 6:
         points.append(f"and {len(views) - 6} more loops")
-    assumed = ["linear figures hold for small deviations from the operating points", "the integral states are trimmed so that the law's torque is the plant's inverse dynamics there"]
+    assumed = [
+        "linear figures hold for small deviations from the operating points",
+        "the integral states are trimmed so that the law's torque is the plant's inverse dynamics there",
+    ]
     return Scope(tuple(model), tuple(assumed), tuple(points), tuple(not_checked(views)))
 
 
@@ -178,8 +185,22 @@ def not_checked(views: Sequence[View]) -> list[str]:
         out.append("stability of the moving loop: all figures are frozen in time (floquet() and transient_growth() look at motion)")
     if any(v.lin.delay or v.lin.force_delay for v in views):
         out.append("dead time in poles and pole maps (margins, responses and verdicts have it exactly)")
-    missing = [word for word, there in (("actuator lag", "torque_lag"), ("dead time", "delay"), ("sampling", "sample_time"), ("joint flexibility", "joint_stiffness"), ("torque limits", "torque_limit")) if all(getattr(h, there) is None for h in hardware) and not (there == "torque_lag" and any(h.velocity_lag is not None for h in hardware))]
+    missing = [
+        word
+        for word, there in (
+            ("actuator lag", "torque_lag"),
+            ("dead time", "delay"),
+            ("sampling", "sample_time"),
+            ("joint flexibility", "joint_stiffness"),
+            ("torque limits", "torque_limit"),
+        )
+        if all(getattr(h, there) is None for h in hardware) and not (there == "torque_lag" and any(h.velocity_lag is not None for h in hardware))
+    ]
     if missing:
         out.append("no loop here has " + ", ".join(missing))
-    out += ["friction other than the model's viscous and Coulomb terms", "other payloads, poses and speeds than those of the path", "sensor noise and quantisation"]
+    out += [
+        "friction other than the model's viscous and Coulomb terms",
+        "other payloads, poses and speeds than those of the path",
+        "sensor noise and quantisation",
+    ]
     return out

@@ -83,7 +83,7 @@ def loop_section(view: View) -> Section:
 
 def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
     """The numbers behind the pages, for JSON."""
-    m, i = view.margins, view.worst.index
+    m, i = view.margins, view.worst.row
     w = view.worst
     out: dict[str, Any] = {
         "equation": view.loop.law.equation,
@@ -117,8 +117,8 @@ def validated(view: View, time: float = VALIDATED) -> Validation | None:
     ``PERIODS`` of the fastest mode that rings.
     """
     hardware = view.loop.equations.hardware
-    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=np.inf)  # type: ignore[arg-type]
-    roots = view.evidence._spectrum.rates[view.worst.index]
+    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=np.inf)
+    roots = view.evidence._spectrum.rates[view.worst.row]
     ringing = np.abs(roots)[np.isfinite(roots) & (np.abs(roots.real) < RINGS * np.abs(roots))].max(initial=0.0)
     span = min(time, SEGMENTS * grain, max(PERIODS * 2 * np.pi / ringing, SHORTEST) if ringing else np.inf)
     try:
@@ -164,10 +164,12 @@ def diagram(view: View) -> Figure:
     name = type(law).__name__
     chain: list[tuple[str, str]] = []
     if "command" in points:
-        chain += [(f"error\nfeedback", "command"), ("inverse\ndynamics" if law.plant == "torque" else "inverse\nJacobian", law.plant)]
+        chain += [("error\nfeedback", "command"), ("inverse\ndynamics" if law.plant == "torque" else "inverse\nJacobian", law.plant)]
     else:
         chain.append((f"{name}\n(eq. {law.equation})", law.plant if law.plant in points else ""))
-    between = [word for word, there in (("lag", "lag" in view.loop.equations.parts), ("dead time", hardware.delay), ("hold", hardware.sample_time)) if there]
+    between = [
+        word for word, there in (("lag", "lag" in view.loop.equations.parts), ("dead time", hardware.delay), ("hold", hardware.sample_time)) if there
+    ]
     if between:
         chain.append(("\n".join(between[:2]), ""))
     chain.append(("arm" if law.plant == "torque" else "joints\nq′ = u", ""))
@@ -192,8 +194,12 @@ def parameters(view: View) -> tuple[Block, ...]:
     for name, gain in law.gains().items():
         rows.append((name, law.units.get(name, ""), gain_words(gain)))
     if rows:
-        columns = (Column("Gain", numeric=False), Column("Unit", numeric=False), Column(f"Value ({'per joint' if law.space == 'joint' and n > 1 else 'scalar, diagonal or matrix'})", numeric=False))
-        out.append(Table("Gains of the law.", columns, tuple(rows)))
+        heads = (
+            Column("Gain", numeric=False),
+            Column("Unit", numeric=False),
+            Column(f"Value ({'per joint' if law.space == 'joint' and n > 1 else 'scalar, diagonal or matrix'})", numeric=False),
+        )
+        out.append(Table("Gains of the law.", heads, tuple(rows)))
     facts = [("robot", robot_words(view)), ("controller's model", model_words(view)), ("reference", reference_words(view))]
     hardware = view.loop.equations.hardware
     for field in fields(hardware):
@@ -243,14 +249,23 @@ def model_words(view: View) -> str:
     gap = float(np.abs(model.mass(q) - loop.robot.mass(q)).max() / np.abs(loop.robot.mass(q)).max())
     payload = sum(float(p.mass) for p in loop.robot.payloads) - sum(float(p.mass) for p in model.payloads)
     said = f"{model.name}, without {written(payload, exact=True)} kg of the plant's payload; " if abs(payload) > 1e-12 else f"{model.name}; "
-    return said + f"its inertia differs from the plant's by up to {written(100 * gap)} % of the largest entry (t = {written(float(view.times[0]), exact=True)} s)"
+    return (
+        said + f"its inertia differs from the plant's by up to {written(100 * gap)} % of the largest entry (t ="
+        f" {written(float(view.times[0]), exact=True)} s)"
+    )
 
 
 def reference_words(view: View) -> str:
     """The reference in words."""
     ref = view.loop.ref
     kind = type(ref).__name__
-    span = f", {written(float(ref.duration), exact=True)} s" if ref.duration else f", period {written(float(ref.period), exact=True)} s" if ref.period else ""
+    span = (
+        f", {written(float(ref.duration), exact=True)} s"
+        if ref.duration
+        else f", period {written(float(ref.period), exact=True)} s"
+        if ref.period
+        else ""
+    )
     if ref.is_hold:
         return f"{kind} (at rest)"
     speed = float(np.abs(view.loop.nominal(view.times).v).max())
@@ -288,7 +303,7 @@ def frequency_section(view: View) -> Section:
 
 def disk_block(view: View) -> tuple[tuple[Block, ...], dict[str, Any]]:
     """The disk margin at the worst place: all loops at once."""
-    one = view.lin.again(view.times[view.worst.index : view.worst.index + 1])
+    one = view.lin.again(view.times[view.worst.row : view.worst.row + 1])
     found = one.disk_margin(view.point)
     alpha = float(found.alpha[0])
     if not np.isfinite(alpha):
@@ -296,7 +311,11 @@ def disk_block(view: View) -> tuple[tuple[Block, ...], dict[str, Any]]:
     note = "all channels at once, each by its own"
     facts = KeyFacts(
         (
-            Fact("Disk margin α", Number(alpha), f"{found.bound.name.lower()}; at {Number(float(found.frequency[0]), 'rad/s', infinite='no frequency')}"),
+            Fact(
+                "Disk margin α",
+                Number(alpha),
+                f"{found.bound.name.lower()}; at {Number(float(found.frequency[0]), 'rad/s', infinite='no frequency')}",
+            ),
             Fact("All gains at once", Number(float(found.gain_db[0]), "dB", sign="±", infinite="any"), note),
             Fact("All phases at once", Number(float(found.phase_deg[0]), "°", sign="±"), note),
         )
@@ -311,11 +330,13 @@ def pole_section(view: View) -> Section:
     if np.isneginf(root.value) or np.isnan(root.value):
         finding = "Every root is at zero: " + (line.note or "nothing decays") + "."
     else:
-        finding = f"The rightmost root that is not at zero is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
+        finding = (
+            f"The rightmost root that is not at zero is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
+        )
     body: list[Block] = [Row((blocks.pole_map(view),)), blocks.pole_rows(view)]
     numbers: dict[str, Any] = {}
     if view.lin.delay or view.lin.force_delay:
-        one = view.lin.again(view.times[view.worst.index : view.worst.index + 1])
+        one = view.lin.again(view.times[view.worst.row : view.worst.row + 1])
         roots = one.delay_roots(6)[0]
         said = ", ".join(blocks.complex_words(complex(s)) for s in roots if s.imag >= 0)
         body.append(Paragraph(f"With the dead time, exactly: the rightmost characteristic roots are at {said} 1/s."))
@@ -337,7 +358,9 @@ def path_section(view: View) -> Sequence[Section]:
         finding = f"Unstable at {bad.size} of {len(view.times)} times, first at t = {written(float(view.times[bad[0]]), exact=True)} s."
     elif np.isfinite(m.phase_deg).any():
         low, high = float(np.nanmin(m.phase_deg)), float(np.nanmax(np.where(np.isfinite(m.phase_deg), m.phase_deg, np.nan)))
-        finding = f"Over {len(view.times)} times and {len(m.channels)} channels the phase margin lies between {Number(low, '°')} and {Number(high, '°')}."
+        finding = (
+            f"Over {len(view.times)} times and {len(m.channels)} channels the phase margin lies between {Number(low, '°')} and {Number(high, '°')}."
+        )
     else:
         finding = "No channel has a crossover at any time."
     return (Section("Along the path", finding, tuple(body)),)
@@ -378,7 +401,10 @@ def _free_run(view: View) -> Section:
     names = tuple(f"X_e_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")) if tool else loop.robot.joint_names
     units = "m, rad" if tool else ", ".join(sorted(set(joint_units(loop.robot))))
     first, last = np.abs(run.error[0]).max(), np.abs(run.error[-1]).max()
-    said = f"from an error of {written(float(first))} the largest error after {Number(float(run.t[-1] - run.t[0]), 's')} is {written(float(last))} {units}"
+    said = (
+        f"from an error of {written(float(first))} the largest error after {Number(float(run.t[-1] - run.t[0]), 's')} is {written(float(last))}"
+        f" {units}"
+    )
     if run.diverged:
         said += f" ({run.message})"
     drive = plots.Panel(f"{'velocity' if loop.equations.actuator == 'velocity' else 'torque'}", run.command)
@@ -401,7 +427,11 @@ def validity_section(view: View, found: Validation | None) -> Section:
     figure = blocks.validation_figure(view, found)
     facts = KeyFacts(
         (
-            Fact("Misfit", Number(100 * found.nrmse, "%", undefined="diverged"), f"at {written(found.size, exact=True)} {unit}, over {written(found.time, exact=True)} s"),
+            Fact(
+                "Misfit",
+                Number(100 * found.nrmse, "%", undefined="diverged"),
+                f"at {written(found.size, exact=True)} {unit}, over {written(found.time, exact=True)} s",
+            ),
             Fact("Holds up to", Number(found.radius, unit, infinite="any size tried"), "misfit below 5 %"),
             Fact("Taylor order", Number(found.taylor_order, infinite="exact", undefined="diverged"), "2: the linearisation is right"),
         )

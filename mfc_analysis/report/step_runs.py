@@ -98,7 +98,7 @@ def step_run(view: View) -> StepRun | None:
     system, pairs = followed(view.lin)
     if not pairs or not view.fed_back.any():
         return None
-    i = view.worst.index
+    i = view.worst.row
     source, target, channel = next((p for p in pairs if p[2] == view.worst.name), pairs[0])
     linear = step(system, i, source, target)
     duration = _duration(view, linear)
@@ -124,16 +124,22 @@ def _duration(view: View, linear: Step) -> float:
     if linear.outcome is Outcome.SETTLES and np.isfinite(linear.settling) and linear.settling > 0:
         longest = min(1.6 * linear.settling, LONGEST)
     else:
-        rate = float(np.max(np.abs(view.evidence._spectrum.rates[view.worst.index].real), initial=1.0, where=np.isfinite(view.evidence._spectrum.rates[view.worst.index].real)))
+        rate = float(
+            np.max(
+                np.abs(view.evidence._spectrum.rates[view.worst.row].real),
+                initial=1.0,
+                where=np.isfinite(view.evidence._spectrum.rates[view.worst.row].real),
+            )
+        )
         longest = float(np.clip(8.0 / max(rate, 1e-3), 0.1, 2.0))
     hardware = view.loop.equations.hardware
-    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=0.0)  # type: ignore[arg-type]
+    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=0.0)
     return min(longest, SEGMENTS * grain) if grain else longest
 
 
 def _size(loop: ClosedLoop, source: str, channel: str) -> tuple[float, str]:
     if source.startswith("F_d"):
-        asked = float(np.linalg.norm(np.asarray(loop.law.F_d, float)))  # type: ignore[attr-defined]
+        asked = float(np.linalg.norm(wrench_asked(loop)))
         return max(FORCE * asked, 1.0), "N" if channel[2] == "f" else "Nm"
     if source.startswith("X_d"):
         return (LINEAR, "m") if channel[2] == "v" else (ANGULAR, "rad")
@@ -141,10 +147,15 @@ def _size(loop: ClosedLoop, source: str, channel: str) -> tuple[float, str]:
     return (PRISMATIC, "m") if unit == "m" else (JOINT, "rad")
 
 
+def wrench_asked(loop: ClosedLoop) -> Array:
+    """(6,) the wrench that a force law asks for; a copy."""
+    return np.array(getattr(loop.law, "F_d"), dtype=np.float64)  # noqa: B009 - not every law has one
+
+
 def _stepped(loop: ClosedLoop, source: str, size: float) -> ClosedLoop:
     surfaces = list(loop.equations.surfaces) or None
     if source.startswith("F_d_"):
-        F_d = np.array(loop.law.F_d, float)  # type: ignore[attr-defined]
+        F_d = wrench_asked(loop)
         F_d[WRENCH.index(source.removeprefix("F_d_"))] += size
         return replace(loop, law=replace(loop.law, F_d=F_d), environment=surfaces)  # type: ignore[type-var]
     tool = source.startswith("X_d_")

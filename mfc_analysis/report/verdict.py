@@ -36,7 +36,9 @@ def verdict(document: Document) -> Verdict:
     checks = [(s, c) for s, c in every if not s.shown]
     beside = _beside([(s, c) for s, c in every if s.shown])
     if not checks:
-        return Verdict(status, "Nothing was asked of these loops", ("No requirement was given, so there is nothing to pass or fail." + beside), None, None)
+        return Verdict(
+            status, "Nothing was asked of these loops", ("No requirement was given, so there is nothing to pass or fail." + beside), None, None
+        )
     section, check = max(checks, key=lambda pair: pair[1].severity)
     missed = [c for _, c in checks if c.status is Status.FAIL]
     watched = [c for _, c in checks if c.status is Status.WATCH]

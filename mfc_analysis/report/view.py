@@ -29,7 +29,7 @@ MOST_DECADES = 7.0  #: of a frequency axis
 class Place(NamedTuple):
     """The worst place of a loop along its path."""
 
-    index: int  #: of the time
+    row: int  #: of the time
     channel: int  #: of the analysis point
     time: float  #: [s]
     name: str  #: of the channel
@@ -104,16 +104,18 @@ class View:
             return Place(i, k, float(self.times[i]), names[k])
         for values in (m.phase_deg, m.gain_increase, -m.gain_reduction, -m.sensitivity_peak):
             kept = np.where(np.isnan(values), np.inf, values)
-            if np.isfinite(kept).any() and np.ptp(kept[np.isfinite(kept)]) >= 0 and kept.min() < np.inf and (values is not m.gain_increase or kept.min() < 1e9):
-                i, k = np.unravel_index(int(np.argmin(kept)), kept.shape)
-                return Place(int(i), int(k), float(self.times[i]), names[k])
+            if np.isfinite(kept.min()) and kept.min() != 0:
+                i, k = (int(x) for x in np.unravel_index(int(np.argmin(kept)), kept.shape))
+                return Place(i, k, float(self.times[i]), names[k])
         return Place(0, 0, float(self.times[0]), names[0])
 
     def frequencies(self, count: int = 360) -> Array:
         """(count,) [rad/s] around the poles and crossings at the worst place."""
-        i, k = self.worst.index, self.worst.channel
+        i, k = self.worst.row, self.worst.channel
         m = self.margins
-        at = np.concatenate([np.abs(self.evidence._spectrum.rates[i])] + [np.ravel(f[i, k]) for f in (m.crossover, m.reduction_frequency, m.increase_frequency)])
+        at = np.concatenate(
+            [np.abs(self.evidence._spectrum.rates[i])] + [np.ravel(f[i, k]) for f in (m.crossover, m.reduction_frequency, m.increase_frequency)]
+        )
         at = at[np.isfinite(at) & (at > 1e-6)]
         low, high = (float(at.min()) / 20, float(at.max()) * 20) if at.size else (1e-2, 1e2)
         if self.lin.dt:
@@ -126,7 +128,7 @@ class View:
 
     def response(self, frequencies: Array, at: str | None = None, channel: int | None = None) -> Complex:
         """(nf,) L(jw) at the worst place (``channel``: another one), dead time included."""
-        one = self.lin.again(self.times[self.worst.index : self.worst.index + 1])
+        one = self.lin.again(self.times[self.worst.row : self.worst.row + 1])
         return np.asarray(one.frequency_response(frequencies, at or self.point)[0, self.worst.channel if channel is None else channel])
 
     @property
@@ -157,7 +159,7 @@ class View:
         if not self.stable:
             return "no margin is defined, for the loop is unstable"
         w, m = self.worst, self.margins
-        phase, crossover = float(m.phase_deg[w.index, w.channel]), float(m.crossover[w.index, w.channel])
+        phase, crossover = float(m.phase_deg[w.row, w.channel]), float(m.crossover[w.row, w.channel])
         if not self.fed_back.any():
             return "nothing is fed back, so there is no margin to lose"
         where = place_words(w.name, w.time, len(self.times))

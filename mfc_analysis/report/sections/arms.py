@@ -79,7 +79,7 @@ class Designs:
     def law(self, equation: str, arm: Arm) -> laws.law.Law:
         """The law of one equation for one arm."""
         if equation in self.velocity:
-            return laws.by_equation(equation)(**self._scaled(equation, self.velocity[equation]))  # type: ignore[no-any-return]
+            return laws.by_equation(equation)(**self._scaled(equation, self.velocity[equation]))
         if equation == "9.8":
             return laws.JointPID(**self._scaled(equation, gains.joint_pid(arm.model, arm.ref, natural_frequency=arm.speed)))
         if equation == "9.9":

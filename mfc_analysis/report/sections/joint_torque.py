@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from mfc_analysis import laws, plots
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report import loop_blocks as blocks
-from mfc_analysis.report.section import Block, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, written
+from mfc_analysis.report.section import Block, Cell, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, written
 from mfc_analysis.report.sections.arms import PAYLOAD, Arm, Designs, arms, decibels, per_joint, triple_pole
+from mfc_analysis.report.sections.coupling import coupling_figures, coupling_numbers, coupling_table, coupling_words, price
 from mfc_analysis.report.sections.pages import loop_page
 from mfc_analysis.report.view import View
 from mfc_analysis.trajectories.joint import Hold
@@ -38,102 +39,20 @@ def independent(designs: Designs) -> Section:
     pages = []
     for arm, view in views:
         after = (coupling_table(view), *coupling_figures(view)) if arm.robot.n > 1 else (limit_of_ki(view),)
-        pages.append(loop_page(view, arm.name, path=arm.robot.n > 1, finding=_coupling_words(view) if arm.robot.n > 1 else "", after=after, more=_coupling_numbers(view)))
-    costs = [f"{arm.name}: {_price(view)}" for arm, view in views if arm.robot.n > 1]
+        pages.append(
+            loop_page(
+                view,
+                arm.name,
+                path=arm.robot.n > 1,
+                finding=coupling_words(view) if arm.robot.n > 1 else "",
+                after=after,
+                more=coupling_numbers(view),
+            )
+        )
+    costs = [f"{arm.name}: {price(view)}" for arm, view in views if arm.robot.n > 1]
     finding = ("Gains made joint by joint on ", Math("M_(j j)"), f", the others forgotten. What the coupling does: {'; '.join(costs)}.")
     equation = Equation(designs.law("9.8", arms()[0]).typst, "independent joint PID control", "9.8")
     return Section("9.8 Independent joint PID", finding, (equation,), sections=tuple(pages), key="eq-9-8")
-
-
-def _price(view: View) -> str:
-    """What coupling does to the slowest root and to the phase margin that changes most, in words."""
-    alone = view.lin.decentralised()
-    designed, real = float(alone.poles().real.max()), view.evidence.slowest_root().value
-    slower = f"the slowest root goes from {written(designed)} to {written(real)} 1/s"
-    change = view.margins.phase_deg - alone.margins().phase_deg
-    if not view.stable or not np.isfinite(change).any():
-        return slower
-    j = int(np.unravel_index(int(np.nanargmin(change)), change.shape)[1])
-    low = float(np.nanmin(change))
-    word = f"no phase margin falls, the least rise is {written(low)}°" if low > 0 else f"the phase margin of {view.margins.channels[j]} falls by {written(-low)}°"
-    return f"{slower}, {word}"
-
-
-def _coupling_words(view: View) -> str:
-    alone = view.lin.decentralised()
-    designed, real = float(alone.poles().real.max()), view.evidence.slowest_root().value
-    low = float(alone.margins().phase_deg.min()) if alone.stable.all() else float("nan")
-    if not view.stable:
-        return f"Each joint alone is {'stable' if alone.stable.all() else 'unstable'} with its rightmost pole at {written(designed)} 1/s; coupled, the arm is unstable, with a root at {written(real)} 1/s."
-    true = float(view.margins.phase_deg.min())
-    cost = low - true
-    change = f"the coupling costs {written(cost)}°" if cost > 0 else f"the coupling gives {written(-cost)}°"
-    return f"Joint by joint the design promises a phase margin of {written(low)}°, the arm has {written(true)}°: {change}. The rightmost root is at {written(real)} 1/s instead of {written(designed)} 1/s."
-
-
-def _coupling_numbers(view: View) -> dict[str, object]:
-    alone = view.lin.decentralised()
-    return {
-        "decentralised_poles": alone.poles()[view.worst.index],
-        "decentralised_phase_deg": alone.margins().phase_deg.min(axis=0),
-        "coupled_phase_deg": view.margins.phase_deg.min(axis=0),
-        "relative_gain": relative_gain(view).max(axis=0),
-    }
-
-
-def coupling_table(view: View) -> Table:
-    """Each joint's margins by the decentralised design and in truth, worst along the path."""
-    alone, m = view.lin.decentralised().margins(), view.margins
-    gain = relative_gain(view)
-    rows = []
-    for j, name in enumerate(m.channels):
-        with np.errstate(divide="ignore"):
-            low = [float(decibels(x.gain_reduction[:, j]).max()) for x in (alone, m)]
-        rows.append(
-            (
-                name,
-                *(Number(float(x.phase_deg[:, j].min()), infinite="no crossover", undefined="unstable") for x in (alone, m)),
-                *(Number(-x, infinite="any", undefined="unstable") for x in low),
-                *(Number(float(x.delay[:, j].min()) * 1e3, infinite="any", undefined="unstable") for x in (alone, m)),
-                Number(float(gain[:, j].max())),
-            )
-        )
-    heads = (
-        Column("Joint", numeric=False),
-        Column("Phase, alone", "°"),
-        Column("coupled", "°"),
-        Column("Gain down, alone", "dB"),
-        Column("coupled", "dB"),
-        Column("Delay, alone", "ms"),
-        Column("coupled", "ms"),
-        Column(("Relative gain ", Math("lambda_(j j)"))),
-    )
-    return Table("The decentralised design (each joint alone, on the diagonal of the inertia) beside the coupled arm, each joint's worst along the path.", heads, tuple(rows))
-
-
-def relative_gain(view: View) -> Array:
-    """(m, n) M_jj (M^-1)_jj of the plant along the path: 1 where a joint is decoupled; how much lighter it is when the others are free."""
-    q = view.loop.nominal(view.times).q
-    M = view.loop.robot.mass(q)
-    return np.asarray(np.diagonal(M, axis1=1, axis2=2) * np.diagonal(np.linalg.inv(M), axis1=1, axis2=2))
-
-
-def coupling_figures(view: View) -> tuple[Block, ...]:
-    """The coupling of M(q) along the path, and phase margins alone and coupled."""
-    gain, names = relative_gain(view), view.margins.channels
-    alone = view.lin.decentralised().margins()
-    i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
-    said = f"largest {written(float(gain[i, j]))} ({names[j]}, t = {written(float(view.times[i]), exact=True)} s)"
-    panels = [plots.Panel("relative gain [-]", gain)]
-    if np.isfinite(view.margins.phase_deg).all() and np.isfinite(alone.phase_deg).all():
-        panels.append(plots.Panel("phase margin [deg]", view.margins.phase_deg, beside=alone.phase_deg))
-    return (
-        Figure(
-            partial(plots.traces, view.times, tuple(panels), names, said=("coupled", "joint alone")),
-            ("Coupling of the inertia along the path, ", Math("lambda_(j j) = M_(j j) (M^(-1))_(j j)"), f": 1 where a joint is alone; {said}."),
-            f"Relative gain of M(q) of {view.loop.robot.name}: {said}.",
-        ),
-    )
 
 
 def limit_of_ki(view: View) -> Block:
@@ -148,7 +67,7 @@ def limit_of_ki(view: View) -> Block:
         other = replace(loop, law=replace(loop.law, ki=part * limit))  # type: ignore[type-var]
         found.append(bool(other.linearize(view.times).stable.all()))
     facts = (
-        Fact("Largest integral gain", Number(limit, "Nm/(rad s)"), ("(b + kd)(kp + dg/dq)/I, the smallest along the path")),
+        Fact("Largest integral gain", Number(limit, "Nm/(rad s)"), "(b + kd)(kp + dg/dq)/I, the smallest along the path"),
         Fact("Used", Number(ki, "Nm/(rad s)"), f"{written(100 * ki / limit)} % of it"),
         Fact("At 0.99 and 1.01 of it", f"{'stable' if found[0] else 'unstable'}, {'stable' if found[1] else 'unstable'}", "by the poles"),
     )
@@ -170,16 +89,52 @@ def open_loop(designs: Designs) -> Section:
         right = float(real.max())
         grown = float(np.abs(off.error).max())
         own = float(np.abs(on.error).max())
-        rows.append((arm.name, Number(right), Number(float(np.log(2) / right) if right > 1e-9 else np.inf, infinite="–"), Number(own), Number(grown), Number(grown / OFFSET)))
+        rows.append(
+            (
+                arm.name,
+                Number(right),
+                Number(float(np.log(2) / right) if right > 1e-9 else np.inf, infinite="–"),
+                Number(own),
+                Number(grown),
+                Number(grown / OFFSET),
+            )
+        )
         figure = Figure(
-            partial(plots.traces, off.t, (plots.Panel("error [rad]", off.error, beside=on.error[: len(off.t)]),), arm.robot.joint_names, said=("started 0.05 rad off", "started on the path")),
-            f"Open loop: from {written(OFFSET, exact=True)} rad off the path the error reaches {written(grown)} rad, from the path itself {written(own)} rad.",
+            partial(
+                plots.traces,
+                off.t,
+                (plots.Panel("error [rad]", off.error, beside=on.error[: len(off.t)]),),
+                arm.robot.joint_names,
+                said=("started 0.05 rad off", "started on the path"),
+            ),
+            f"Open loop: from {written(OFFSET, exact=True)} rad off the path the error reaches {written(grown)} rad, from the path itself"
+            f" {written(own)} rad.",
             f"Errors of {view.name}: up to {written(grown)} rad.",
         )
-        said = f"The poles are the arm's own, the rightmost at {written(right)} 1/s: from {written(OFFSET, exact=True)} rad off the path the largest error in {written(LONG, exact=True)} s is {written(grown)} rad" + (
-            "." if arm.exact else f"; with {written(PAYLOAD, exact=True)} kg that the feedforward doesn't know of it reaches {written(own)} rad even from a perfect start."
+        said = (
+            f"The poles are the arm's own, the rightmost at {written(right)} 1/s: from {written(OFFSET, exact=True)} rad off the path the largest"
+            f" error in {written(LONG, exact=True)} s is {written(grown)} rad"
+            + (
+                "."
+                if arm.exact
+                else (
+                    f"; with {written(PAYLOAD, exact=True)} kg that the feedforward doesn't know of it reaches {written(own)} rad even from a perfect"
+                    " start."
+                )
+            )
         )
-        pages.append(loop_page(view, arm.name, shown="open loop", frequency=False, compare=False, finding=said, after=(figure,), more={"rightmost": right, "error_off_path": grown, "error_on_path": own}))
+        pages.append(
+            loop_page(
+                view,
+                arm.name,
+                shown="open loop",
+                frequency=False,
+                compare=False,
+                finding=said,
+                after=(figure,),
+                more={"rightmost": right, "error_off_path": grown, "error_on_path": own},
+            )
+        )
     columns = (
         Column("Arm", numeric=False),
         Column("Rightmost pole", "1/s"),
@@ -190,7 +145,10 @@ def open_loop(designs: Designs) -> Section:
     )
     table = Table(f"Feedforward alone, for {LONG:g} s: along the path, and on at its end.", columns, tuple(rows))
     equation = Equation(designs.law("9.9", arms()[0]).typst, "feedforward torque", "9.9")
-    finding = "Nothing is fed back: the loop is the arm, and where gravity pulls a link away from upright it runs off. These loops are here to show that; their failed checks are not counted in the verdict of the document."
+    finding = (
+        "Nothing is fed back: the loop is the arm, and where gravity pulls a link away from upright it runs off. These loops are here to show that;"
+        " their failed checks are not counted in the verdict of the document."
+    )
     return Section("9.9 Torque feedforward: open loop", finding, (equation, table), sections=tuple(pages), key="eq-9-9")
 
 
@@ -203,7 +161,16 @@ def computed_torque(designs: Designs) -> Section:
     for arm in arms():
         view = designs.view("9.10", arm)
         wide = arm.robot.n > 1
-        pages.append(loop_page(view, arm.name, path=wide, moving=not arm.exact, after=(*two_points(view), *(() if arm.exact else wrong_model(designs, arm, view))), more=_points_numbers(view)))
+        pages.append(
+            loop_page(
+                view,
+                arm.name,
+                path=wide,
+                moving=not arm.exact,
+                after=(*two_points(view), *(() if arm.exact else wrong_model(designs, arm, view))),
+                more=_points_numbers(view),
+            )
+        )
     equation = Equation(designs.law("9.10", arms()[0]).typst, "computed torque control", "9.10, 9.12")
     polynomial = Equation("e^(prime.triple) + K_d dot.double(e) + K_p dot(e) + K_i e = 0", "error dynamics with an exact model")
     return Section("9.10 and 9.12 Computed torque with PID", _exactness(designs), (equation, polynomial), sections=tuple(pages), key="eq-9-10")
@@ -218,8 +185,9 @@ def _exactness(designs: Designs) -> str:
     arm = arms()[-1]
     root = designs.view("9.10", arm).evidence.slowest_root().value
     return (
-        f"With an exact model nothing but the design polynomial is left: the characteristic polynomials of the two exact arms differ from it by {written(max(off))} of its largest coefficient. "
-        f"With {written(PAYLOAD, exact=True)} kg unknown in its hand the UR5's rightmost root lies at {written(root)} 1/s, where {written(-arm.speed, exact=True)} 1/s was designed."
+        "With an exact model nothing but the design polynomial is left: the characteristic polynomials of the two exact arms differ from it by"
+        f" {written(max(off))} of its largest coefficient. With {written(PAYLOAD, exact=True)} kg unknown in its hand the UR5's rightmost root lies"
+        f" at {written(root)} 1/s, where {written(-arm.speed, exact=True)} 1/s was designed."
     )
 
 
@@ -243,7 +211,7 @@ def two_points(view: View) -> tuple[Block, ...]:
     if not view.stable:
         return ()
     torque, command = view.margins, view.lin.margins("command")
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for name, m in (("torque", torque), ("command", command)):
         w = m.worst()
         rows.append(
@@ -256,32 +224,49 @@ def two_points(view: View) -> tuple[Block, ...]:
                 Number(w.sensitivity_peak[0]),
             )
         )
-    columns = (Column("Opened at", numeric=False), Column("Phase", "°"), Column("Gain down", "dB"), Column("Gain up", "dB"), Column("Delay", "ms"), Column(Math("M_s")))
+    columns = (
+        Column("Opened at", numeric=False),
+        Column("Phase", "°"),
+        Column("Gain down", "dB"),
+        Column("Gain up", "dB"),
+        Column("Delay", "ms"),
+        Column(Math("M_s")),
+    )
     gap = float(torque.phase_deg.min() - command.phase_deg.min())
     why = (
-        f"At the acceleration command the loop is the PID's own on a double integrator ({written(float(command.phase_deg.min()))}°). At the torque the "
-        "terms that cancel gravity and coupling are inside the loop as well: it is what one motor amplifier sees, "
-        f"and its phase margin differs by {written(gap)}°."
+        f"At the acceleration command the loop is the PID's own on a double integrator ({written(float(command.phase_deg.min()))}°). At the torque"
+        " the terms that cancel gravity and coupling are inside the loop as well: it is what one motor amplifier sees, and its phase margin differs"
+        f" by {written(gap)}°."
     )
     return (Table("The same loop opened at two points, worst along the path.", columns, tuple(rows)), Paragraph(why))
 
 
 def _points_numbers(view: View) -> dict[str, object]:
     command = view.lin.margins("command")
-    i = view.worst.index
-    return {"command_phase_deg": command.phase_deg[i], "command_gain_reduction": command.gain_reduction[i], "command_sensitivity_peak": command.sensitivity_peak[i]}
+    i = view.worst.row
+    return {
+        "command_phase_deg": command.phase_deg[i],
+        "command_gain_reduction": command.gain_reduction[i],
+        "command_sensitivity_peak": command.sensitivity_peak[i],
+    }
 
 
 def wrong_model(designs: Designs, arm: Arm, view: View) -> tuple[Block, ...]:
     """Each joint with the exact model and with the payload unknown: what the wrong model costs each margin."""
     exact = View("exact", ClosedLoop(arm.robot, designs.law("9.10", arm), arm.ref), arm.times)
-    return (margins_table(exact, view, f"The controller that knows of the {written(PAYLOAD, exact=True)} kg beside the one that doesn't, each joint's worst along the path."),)
+    return (
+        margins_table(
+            exact,
+            view,
+            f"The controller that knows of the {written(PAYLOAD, exact=True)} kg beside the one that doesn't, each joint's worst along the path.",
+        ),
+    )
 
 
 def margins_table(first: View, second: View, caption: str) -> Table:
     """Margins joint by joint of a loop with the exact model and with the wrong one."""
     a, b = first.margins, second.margins
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for j, name in enumerate(a.channels):
         rows.append(
             (
@@ -329,18 +314,26 @@ def conditional(designs: Designs) -> Section:
     words = ("grows" if growth[0] > 1 else "decays", "grows" if growth[1] > 1 else "decays")
     figure = Figure(
         partial(plots.traces, t, (plots.Panel("error [rad]", np.column_stack(runs)),), tuple(f"{s:g} × {written(low)}" for s in SIDES)),
-        f"The nonlinear joint from 0.1 rad off, all three gains multiplied by {SIDES[0]:g} and {SIDES[1]:g} times the lower end: the error {words[0]} and {words[1]}.",
+        f"The nonlinear joint from 0.1 rad off, all three gains multiplied by {SIDES[0]:g} and {SIDES[1]:g} times the lower end: the error {words[0]}"
+        f" and {words[1]}.",
         f"Errors against time: amplitude in the last second over that in the first {written(growth[0])} and {written(growth[1])}.",
     )
     finding = (
-        f"kp = 3w², ki = w³, kd = 3w put all three poles at −{written(w, exact=True)} 1/s, and the loop is stable only for gains above {written(low, 4)} = 1/{written(1 / low, 4)} of these: "
-        f"turning the gain down makes it unstable. Simulated at {SIDES[0]:g} and {SIDES[1]:g} of that end the error {words[0]} and {words[1]}."
+        f"kp = 3w², ki = w³, kd = 3w put all three poles at −{written(w, exact=True)} 1/s, and the loop is stable only for gains above"
+        f" {written(low, 4)} = 1/{written(1 / low, 4)} of these: turning the gain down makes it unstable. Simulated at {SIDES[0]:g} and {SIDES[1]:g}"
+        f" of that end the error {words[0]} and {words[1]}."
     )
     return Section(
         "9.12 Conditional stability: a gain that must not be turned down",
         finding,
         (*blocks.frequency_figures(view), figure),
-        numbers={"gain_reduction": low, "theory": 1 / 9, "growth_below": growth[0], "growth_above": growth[1], "phase_deg": float(view.margins.phase_deg[0, 0])},
+        numbers={
+            "gain_reduction": low,
+            "theory": 1 / 9,
+            "growth_below": growth[0],
+            "growth_above": growth[1],
+            "phase_deg": float(view.margins.phase_deg[0, 0]),
+        },
         sources=("chapter, eq. 9.12",),
         key="eq-9-12",
     )
@@ -358,7 +351,13 @@ def inverse_dynamics(designs: Designs) -> Section:
         more: dict[str, object] = {"double_integrator": double_integrator_gap(view)}
         if not arm.exact:
             known = View("exact", ClosedLoop(arm.robot, designs.law("9.11", arm), arm.ref), arm.times)
-            after = (margins_table(known, view, "n decoupled double integrators (exact model) beside the arm with the unknown payload, each joint's worst along the path."),)
+            after = (
+                margins_table(
+                    known,
+                    view,
+                    "n decoupled double integrators (exact model) beside the arm with the unknown payload, each joint's worst along the path.",
+                ),
+            )
             more["exact_phase_deg"] = known.margins.phase_deg.min(axis=0)
         pages.append(loop_page(view, arm.name, after=after, more=more))
     gaps = [float(page.numbers["double_integrator"]) for page in pages]
@@ -368,10 +367,14 @@ def inverse_dynamics(designs: Designs) -> Section:
     change = exact - true
     j = int(np.nanargmax(np.abs(change))) if np.isfinite(change).any() else 0
     finding = (
-        f"Seen from the command, the exact arms are n separate integrators 1/s² to within {written(max(gaps[:-1]))} of their response. "
-        f"With the unknown payload the UR5 is not ({written(gaps[-1])}), and the phase margins of its joints, all {per_joint(exact)}° by design, become {per_joint(true)}° (the largest change {written(float(change[j]))}°, {arms()[-1].robot.joint_names[j]})."
+        f"Seen from the command, the exact arms are n separate integrators 1/s² to within {written(max(gaps[:-1]))} of their response. With the"
+        f" unknown payload the UR5 is not ({written(gaps[-1])}), and the phase margins of its joints, all {per_joint(exact)}° by design, become"
+        f" {per_joint(true)}° (the largest change {written(float(change[j]))}°, {arms()[-1].robot.joint_names[j]})."
     )
-    equations = (Equation(designs.law("9.11", arms()[0]).typst, "inverse dynamics", "9.11"), Equation("dot.double(q) = a_q", "the double integrator", "9.13"))
+    equations = (
+        Equation(designs.law("9.11", arms()[0]).typst, "inverse dynamics", "9.11"),
+        Equation("dot.double(q) = a_q", "the double integrator", "9.13"),
+    )
     return Section("9.11 and 9.13 Inverse dynamics and the double integrator", finding, equations, sections=tuple(pages), key="eq-9-11")
 
 

@@ -61,7 +61,7 @@ class Form:
 
     def numbers(self) -> dict[str, Any]:
         """For JSON."""
-        m, i = self.view.margins, self.view.worst.index
+        m, i = self.view.margins, self.view.worst.row
         return {
             "poles": self.view.poles[i],
             "rightmost": self.rightmost,
@@ -89,11 +89,19 @@ def _section(equation: str, what: str, arm: Arm, printed: Form, standard: Form, 
     a, b = standard.run.error[: len(t)], printed.run.error[: len(t)]
     figure = Figure(
         partial(plots.traces, t, (plots.Panel("error [rad]", a, beside=b),), arm.robot.joint_names, said=("standard", "as printed")),
-        f"The nonlinear {arm.name} on its path from {written(OFFSET, exact=True)} rad off it: largest error {written(standard.largest)} rad in the standard form, {written(printed.largest)} rad as printed.",
+        f"The nonlinear {arm.name} on its path from {written(OFFSET, exact=True)} rad off it: largest error {written(standard.largest)} rad in the"
+        f" standard form, {written(printed.largest)} rad as printed.",
         f"Errors of both forms of {equation}: at most {written(standard.largest)} rad (standard) and {written(printed.largest)} rad (printed).",
     )
     body = (compare, figure, *((Paragraph(more),) if more else ()))
-    return Section(f"{equation} on the {arm.name}", what, body, numbers={"printed": printed.numbers(), "standard": standard.numbers()}, sources=("chapter, eq. " + equation, *standard.view.loop.law.sources), key=f"misprint-{equation}")
+    return Section(
+        f"{equation} on the {arm.name}",
+        what,
+        body,
+        numbers={"printed": printed.numbers(), "standard": standard.numbers()},
+        sources=("chapter, eq. " + equation, *standard.view.loop.law.sources),
+        key=f"misprint-{equation}",
+    )
 
 
 def _side(form: Form) -> Side:
@@ -103,13 +111,17 @@ def _side(form: Form) -> Side:
     facts = KeyFacts(
         (
             Fact("Rightmost pole", Number(form.rightmost, "1/s")),
-            Fact("Phase margin", Number(form.phase, "°", infinite="no crossover", undefined=without), place_words(w.phase_deg[2], w.phase_deg[1], len(m.times)) if np.isfinite(form.phase) else ""),
+            Fact(
+                "Phase margin",
+                Number(form.phase, "°", infinite="no crossover", undefined=without),
+                place_words(w.phase_deg[2], w.phase_deg[1], len(m.times)) if np.isfinite(form.phase) else "",
+            ),
             Fact("Gain may fall by", Number(float(-decibels(m.gain_reduction.max())), "dB", infinite="any amount", undefined=without)),
             Fact("Largest error", Number(form.largest, "rad")),
         )
     )
     figure = Figure(
-        partial(plots.poles, form.view.poles[worst.index]),
+        partial(plots.poles, form.view.poles[worst.row]),
         f"Poles, t = {written(round(worst.time, 4), exact=True)} s.",
         f"Pole map, {form.title.lower()}: rightmost pole {written(form.rightmost)} per second.",
     )
@@ -149,7 +161,11 @@ def velocity_feedforward(designs: Designs) -> Section:
 
     printed = _form("As printed", "u = q_d", loop, arm, printed_run)
     standard = _form("Standard", "u = dot(q)_d", loop, arm)
-    cost = f"The position wanted is commanded as a velocity: after 4 s the joint is {written(printed.last)} rad away instead of {written(standard.last)} rad (the {written(OFFSET, exact=True)} rad it started with), and the two sides of the equation don't even have the same unit. The poles are the same, for neither form feeds anything back."
+    cost = (
+        f"The position wanted is commanded as a velocity: after 4 s the joint is {written(printed.last)} rad away instead of {written(standard.last)}"
+        f" rad (the {written(OFFSET, exact=True)} rad it started with), and the two sides of the equation don't even have the same unit. The poles"
+        " are the same, for neither form feeds anything back."
+    )
     return _section("9.1", "The page prints the desired position where its derivative is meant.", arm, printed, standard, cost)
 
 
@@ -161,8 +177,9 @@ def velocity_pi(designs: Designs) -> Section:
     ki = float(designs.law("9.3", arm).gains()["ki"].matrix(1)[0, 0])
     slow = printed.rightmost / standard.rightmost
     cost = (
-        f"The integral gain is 1 1/s² whatever one meant (here {written(ki, exact=True)}): the slowest pole moves from {written(standard.rightmost)} to {written(printed.rightmost)} 1/s, "
-        f"so that errors take {written(1 / slow)} times as long to die out; the phase margin goes from {written(standard.phase)}° to {written(printed.phase)}°."
+        f"The integral gain is 1 1/s² whatever one meant (here {written(ki, exact=True)}): the slowest pole moves from {written(standard.rightmost)}"
+        f" to {written(printed.rightmost)} 1/s, so that errors take {written(1 / slow)} times as long to die out; the phase margin goes from"
+        f" {written(standard.phase)}° to {written(printed.phase)}°."
     )
     return _section("9.3", "The page prints the integral of the error without K_i, as if K_i were the identity.", arm, printed, standard, cost)
 
@@ -175,8 +192,9 @@ def torque_feedforward(designs: Designs) -> Section:
     inertia = float(arm.robot.mass(arm.ref(0.0).q)[0, 0])
     hurt = f"the path's own error (from a start {written(OFFSET, exact=True)} rad off) is {_times(printed.largest, standard.largest)}"
     cost = (
-        f"The torque subtracts M̂ q″: the joint feels {written(2 * inertia)} instead of {written(inertia)} kg m², its rightmost pole moves from {written(standard.rightmost)} to {written(printed.rightmost)} 1/s, and {hurt}. "
-        "It also asks for the acceleration that it is about to cause, an algebraic loop that no controller can run."
+        f"The torque subtracts M̂ q″: the joint feels {written(2 * inertia)} instead of {written(inertia)} kg m², its rightmost pole moves from"
+        f" {written(standard.rightmost)} to {written(printed.rightmost)} 1/s, and {hurt}. It also asks for the acceleration that it is about to"
+        " cause, an algebraic loop that no controller can run."
     )
     return _section("9.9", "The page prints the acceleration of the error where the desired acceleration is meant.", arm, printed, standard, cost)
 
@@ -185,7 +203,14 @@ def computed_torque(designs: Designs) -> Section:
     """9.10: prints h^(q_d, v_d): dh/dq and dh/dv stay in the loop."""
     arm = arms()[2]
     printed, standard = _two(designs, "9.10", arm, _computed("tau"))
-    return _section("9.10", "The page evaluates gravity and Coriolis terms where the arm should be, (q_d, v_d), not where it is.", arm, printed, standard, _cost(printed, standard))
+    return _section(
+        "9.10",
+        "The page evaluates gravity and Coriolis terms where the arm should be, (q_d, v_d), not where it is.",
+        arm,
+        printed,
+        standard,
+        _cost(printed, standard),
+    )
 
 
 def triple(designs: Designs) -> Section:
@@ -197,12 +222,25 @@ def triple(designs: Designs) -> Section:
     speeds = np.geomspace(0.4 * limit, 6.0 * limit, 25)
     roots = [[_rightmost(arm, float(x), form) / x for x in speeds] for form in ("printed", "standard")]
     figure = Figure(
-        partial(plots.curves, speeds, (("as printed", roots[0]), ("standard", roots[1])), xlabel="w [rad/s]", ylabel="rightmost root / w [-]", log="x", limit=0.0),
+        partial(
+            plots.curves,
+            speeds,
+            (("as printed", roots[0]), ("standard", roots[1])),
+            xlabel="w [rad/s]",
+            ylabel="rightmost root / w [-]",
+            log="x",
+            limit=0.0,
+        ),
         f"Rightmost root over the speed of the design, triple pole at −w: −1 in the standard form, unstable as printed below {written(limit)} rad/s.",
         f"Rightmost root over w: the printed form is unstable below {written(limit)} rad/s.",
     )
-    cost = f"Upright, where gravity pulls the arm over, the printed form is unstable for every triple pole slower than {written(limit)} rad/s, the standard form for none. At {written(w)} rad/s: " + _cost(printed, standard)
-    found = _section("9.12", "The same misprint in the law with PID and feedforward, with slow gains on an arm held upright.", arm, printed, standard, cost)
+    cost = (
+        f"Upright, where gravity pulls the arm over, the printed form is unstable for every triple pole slower than {written(limit)} rad/s, the"
+        f" standard form for none. At {written(w)} rad/s: " + _cost(printed, standard)
+    )
+    found = _section(
+        "9.12", "The same misprint in the law with PID and feedforward, with slow gains on an arm held upright.", arm, printed, standard, cost
+    )
     return replace(found, body=(*found.body, Row((figure,))), numbers={**found.numbers, "slowest_printed": limit, "w": w})
 
 
@@ -231,8 +269,17 @@ def slowest_printed(arm: Arm) -> float:
 
 def _cost(printed: Form, standard: Form) -> str:
     phase = "none (unstable)" if np.isnan(printed.phase) else f"{written(printed.phase)}°"
-    moved = f"the rightmost pole moves from {written(standard.rightmost)} to {written(printed.rightmost)} 1/s, the smallest phase margin from {written(standard.phase)}° to {phase}"
+    moved = (
+        f"the rightmost pole moves from {written(standard.rightmost)} to {written(printed.rightmost)} 1/s, the smallest phase margin from"
+        f" {written(standard.phase)}° to {phase}"
+    )
     if printed.rightmost > 0:
-        return f"dh/dq and dh/dv stay in the loop, {moved}, and from {written(OFFSET, exact=True)} rad off the path the error reaches {_times(printed.largest, standard.largest)}."
+        return (
+            f"dh/dq and dh/dv stay in the loop, {moved}, and from {written(OFFSET, exact=True)} rad off the path the error reaches"
+            f" {_times(printed.largest, standard.largest)}."
+        )
     down = [float(-decibels(x.view.margins.gain_reduction.max())) for x in (standard, printed)]
-    return f"dh/dq and dh/dv stay in the loop: {moved}, and the gain may fall by {written(down[1])} instead of {written(down[0])} dB; a 4 s run from {written(OFFSET, exact=True)} rad off the path has a largest error of {_times(printed.largest, standard.largest)}."
+    return (
+        f"dh/dq and dh/dv stay in the loop: {moved}, and the gain may fall by {written(down[1])} instead of {written(down[0])} dB; a 4 s run from"
+        f" {written(OFFSET, exact=True)} rad off the path has a largest error of {_times(printed.largest, standard.largest)}."
+    )
