@@ -1,0 +1,86 @@
+"""The documentation's own checker: what it lets pass, and what it doesn't."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def build() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("docs_build", ROOT / "docs" / "build.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["docs_build"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed", "same"),
+    [
+        ("phase 54.0 deg", "phase 54.0 deg", True),
+        ("phase 54.0 deg", "phase 54.1 deg", True),  # one unit of the last digit shown
+        ("phase 54.0 deg", "phase 54.2 deg", False),
+        ("3 of 9 times", "4 of 9 times", False),  # whole numbers are counts
+        ("x = 1.23e-04", "x = 1.24e-04", True),
+        ("x = 1.23e-04", "x = 1.23e-05", False),
+        ("kp=498.6198352658189", "kp=498.6198352658190", True),  # no more than six digits are held against a machine
+        ("stable True", "stable False", False),
+        ("gain  up", "gain up", True),  # columns may be wider
+        ("a\n...\nd", "a\nb\nc\nd", True),
+        ("a\n...", "a", True),
+        ("a\n...\nd", "a\nb", False),
+        ("a", "a\nb", False),
+        ("inf", "nan", False),
+        ("1.0 2.0", "1.0", False),
+    ],
+)
+def test_what_is_shown_agrees_with_what_is_printed(build: ModuleType, shown: str, printed: str, same: bool) -> None:
+    assert build.agree(shown, printed) is same
+
+
+def test_a_page_falls_into_its_blocks(build: ModuleType, tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# A\n\n```python\nprint(1)\n```\n\n```text\n1\n```\n\n```toml\n# file: a.toml\nx = 1\n```\n\nwords\n\n```text\nfree\n```\n")
+    python, toml, text = build.blocks(page)
+    assert (python.kind, python.line, python.text, python.shown) == ("python", 4, "print(1)\n", "1\n")
+    assert toml.file == "a.toml" and python.file is None
+    assert (text.kind, text.shown) == ("text", None)
+
+
+@pytest.mark.parametrize(
+    ("page", "said"),
+    [
+        ("```python\nx = 1\n```\n\n```python\nprint(x)\n```\n\n```text\n1\n```\n", None),  # one namespace
+        ("```python\nprint(1)\n```\n\n```text\n2\n```\n", "the page shows"),
+        ("words\n\n```python\nx = 1\nassert x == 2\n```\n", "AssertionError"),
+        ("```python\nimport warnings\nfrom mfc_analysis.errors import MfcWarning\nwarnings.warn('odd', MfcWarning)\n```\n", "MfcWarning: odd"),
+        ("```console\n$ rm -rf nothing\n```\n", "neither run nor known"),
+        ("```console\n$ mfc-analysis gains pid\n```\n", "exit code 2"),
+        ("```console\n$ mfc-analysis gains pid   # exit code 2\n```\n", None),
+        ("```python\nx = 1\n", "a fence that never closes"),
+    ],
+)  # fmt: skip
+def test_a_page_that_does_not_do_what_it_says_is_wrong(build: ModuleType, page: str, said: str | None, tmp_path: Path) -> None:
+    path = tmp_path / "page.md"
+    path.write_text(page)
+    found = build.checked(path)
+    assert found is None if said is None else said in found
+
+
+def test_an_error_names_the_line_of_the_page(build: ModuleType, tmp_path: Path) -> None:
+    path = tmp_path / "page.md"
+    path.write_text("words\n\n```python\nx = 1\nassert x == 2\n```\n")
+    assert 'File "page.md", line 5' in build.checked(path)
+
+
+def test_results_that_are_not_there_yet_are_said_to_be_missing(build: ModuleType) -> None:
+    assert "has not been written" in build.on_page_markdown("<!-- include: benchmarks/no_such_file.md -->")
+    assert "The family" not in build.on_page_markdown("words") and "BSD" in build.on_page_markdown("<!-- include: README.md -->")
