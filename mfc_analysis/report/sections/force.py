@@ -32,7 +32,7 @@ from mfc_analysis.report.section import (
     Text,
     written,
 )
-from mfc_analysis.report.sections.pieces import agreement, at_least, at_most, in_words, pole_map, poles_table, response, validated
+from mfc_analysis.report.sections.pieces import agreement, at_least, at_most, in_words, pole_map, poles_table, response, slowest, validated
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold
 
@@ -174,7 +174,7 @@ def payload_section() -> Section:
         agreement("force error by 9.20, 3 kg", float(slow[-1]), float(closed[-1]), 1e-6),
     )
     numbers = {"payload": masses, "closed_form": closed, "quasi_static": slow, "errors": errors}
-    return Section("Open-loop force and an unknown payload: 9.21", finding, body, checks, numbers, SOURCES, loop="UR5, 9.21", key="payload")
+    return Section("Open-loop force and an unknown payload: 9.21", finding, body, checks, numbers, SOURCES, key="payload")
 
 
 def tiny(value: float, floor: float = 1e-6) -> float:
@@ -298,7 +298,7 @@ def slider_section() -> Section:
     )
     checks = (*force_checks(lin, 45.0, 6.0, 2.0), at_most("departure from theory", 1e-6, 100 * away, "%", "characteristic polynomial"))
     numbers = {"polynomial": found * MASS * lag, "closed_form": wanted * MASS * lag, "poles": p, **margin_numbers(lin)}
-    return Section("One mass pressing on a spring: 9.23", finding, body, checks, numbers, SOURCES, loop="slider, 9.23", key="slider-force")
+    return Section("One mass pressing on a spring: 9.23", finding, body, checks, numbers, SOURCES, loop="9.23 force PI, slider", key="slider-force")
 
 
 def arm_section() -> Section:
@@ -364,7 +364,7 @@ def arm_section() -> Section:
         force_checks(lin, 45.0, 6.0, 2.0),
         numbers,
         SOURCES,
-        loop="UR5, 9.23",
+        loop="9.23 force PI, UR5",
         key="arm-force",
     )
 
@@ -393,10 +393,13 @@ def margin_numbers(lin: Linearization) -> dict[str, float]:
 
 
 def force_checks(lin: Linearization, phase: float, gain_db: float, peak: float) -> tuple[Check, ...]:
-    """Checks of the force loop along z."""
-    m = lin.margins("force")
+    """Checks of the force loop along z, under the names that all loops share."""
+    m, slow = lin.margins("force"), slowest(lin.poles()[0]).real
     return (
+        Check("stable", 0.0, slow, "1/s", -slow, Status.PASS if bool(lin.stable[0]) else Status.FAIL, "", None, "<"),
         at_least("phase margin", phase, float(m.phase_deg[0, 2]), "°", "fz"),
         at_least("gain margin, up", gain_db, float(m.gain_increase_db[0, 2]), "dB", "fz"),
+        at_least("gain margin, down", gain_db, float(m.gain_reduction_db[0, 2]), "dB", "fz"),
+        at_least("delay margin", 2.0, 1e3 * float(m.delay[0, 2]), "ms", "fz"),
         at_most("sensitivity peak", peak, float(m.sensitivity_peak[0, 2]), "", "fz"),
     )

@@ -121,7 +121,7 @@ def first_section() -> Section:
         at_least("simulated points that agree", float(len(points)), float(agree)),
     )
     numbers = {"limits": {x.name: x.limit for x in ranked}, "factors": {x.name: x.factor for x in ranked}}
-    return Section("What breaks first", finding, body, checks, numbers, SOURCES, loop="UR5, 9.10, hardware", key="breaks-first")
+    return Section("What breaks first", finding, body, checks, numbers, SOURCES, key="breaks-first")
 
 
 def confirmed() -> list[tuple[tuple[str, str], float, bool, bool]]:
@@ -182,7 +182,7 @@ def delay_section() -> Section:
     )
     checks = (at_least("simulated points that agree", float(len(points)), float(agree)),)
     numbers = {"limit": limit, "product": product, "points": points}
-    return Section("Dead time against bandwidth", finding, body, checks, numbers, SOURCES, loop="single joint, dead time", key="dead-time")
+    return Section("Dead time against bandwidth", finding, body, checks, numbers, SOURCES, key="dead-time")
 
 
 # --- all loops at once -------------------------------------------------------------------------------------------
@@ -230,7 +230,9 @@ def disk_section() -> Section:
         "gain_all_db": float(all_.gain_db[0]),
         "frequency": float(all_.frequency[0]),
     }
-    return Section("All loops at once: disk margins", finding, body, checks, numbers, SOURCES, loop="UR5, 9.10, disk", key="disk")
+    return Section(
+        "All loops at once: disk margins", finding, body, checks, numbers, SOURCES, loop="9.10 computed torque with lag, UR5 + 2 kg", key="disk"
+    )
 
 
 # --- the truth on a moving reference -----------------------------------------------------------------------------

@@ -110,7 +110,7 @@ def ideal_section() -> Section:
     )  # fmt: skip
     checks = (agreement("boundary at 1 MN/m", float(edges[-1]), limit, 1.0), found.check())
     numbers = {"limit": limit, "edges": edges, "stiffness": SPAN, "points": found.points}
-    return Section("Stiffness without lag", finding, body, checks, numbers, SOURCES, loop="slider, ideal", key="stiffness-ideal")
+    return Section("Stiffness without lag", finding, body, checks, numbers, SOURCES, key="stiffness-ideal")
 
 
 def edge(values: Array, growth: Array) -> float:
@@ -164,7 +164,7 @@ def lag_section() -> Section:
     )
     checks = (agreement("largest stiffness, torque lag", limit, wanted, 0.01), Check(*_both(lagged, real)))
     numbers = {"limit": limit, "closed_form": wanted, "limit_with_delay_and_filter": real_limit, "points": lagged.points + real.points}
-    return Section("Stiffness with lag, dead time and filter", finding, body, checks, numbers, SOURCES, loop="slider, lag", key="stiffness-lag")
+    return Section("Stiffness with lag, dead time and filter", finding, body, checks, numbers, SOURCES, key="stiffness-lag")
 
 
 def _both(*maps: Mapped) -> tuple[str, float, float, str, float, Status]:
@@ -232,4 +232,4 @@ def arm_section() -> Section:
         "growth_ideal": ideal.growth,
         "points": found.points,
     }
-    return Section("The UR5 against stiffness", finding, body, (found.check(),), numbers, SOURCES, loop="UR5, stiffness", key="stiffness-arm")
+    return Section("The UR5 against stiffness", finding, body, (found.check(),), numbers, SOURCES, key="stiffness-arm")

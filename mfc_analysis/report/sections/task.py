@@ -93,7 +93,7 @@ def velocity_section() -> Section:
         "poles": lin.poles()[0],
         "validation": validated(loop, 1.0),
     }
-    return Section("Tool velocity control: 9.5", finding, body, checks, numbers, SOURCES, loop="UR5, 9.5", key="tool-velocity")
+    return Section("Tool velocity control: 9.5", finding, body, checks, numbers, SOURCES, loop="9.5 tool velocity, UR5", key="tool-velocity")
 
 
 class Frozen(NamedTuple):
@@ -299,7 +299,14 @@ def torque_section() -> Section:
     }
     note: Text = ("Poles and margins are in ", Math("(X_e, V_e, z)", "error coordinates"), ", frozen at each time.")
     return Section(
-        "Computed torque in tool space: 9.16", finding, (*body, Paragraph(note)), checks, numbers, SOURCES, loop="UR5, 9.16", key="tool-torque"
+        "Computed torque in tool space: 9.16",
+        finding,
+        (*body, Paragraph(note)),
+        checks,
+        numbers,
+        SOURCES,
+        loop="9.16 tool computed torque, UR5 + 2 kg",
+        key="tool-torque",
     )
 
 
