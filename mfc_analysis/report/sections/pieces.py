@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mfc_analysis import plots
 from mfc_analysis.plots.frequency import of_channel
-from mfc_analysis.report.section import Cell, Check, Column, Figure, Row, Section, Status, Table, written
+from mfc_analysis.report.section import Cell, Check, Column, Figure, Row, Status, Table, written
 
 if TYPE_CHECKING:
     from mfc_analysis.linearization import Linearization
@@ -106,8 +106,3 @@ def slowest(values: NDArray[np.complex128]) -> complex:
     """The rightmost pole that is not at zero."""
     kept = np.asarray(values)[np.abs(values) > 0]
     return complex(kept[int(np.argmax(kept.real))])
-
-
-def every_check(sections: Sequence[Section]) -> tuple[Check, ...]:
-    """All checks of some sections."""
-    return tuple(c for s in sections for _, c in s.every_check())
