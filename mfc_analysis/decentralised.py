@@ -50,13 +50,26 @@ class Decentralised:
         m, n, k = self.b.shape
         b, c = self.b.reshape(m * n, k, 1), self.c.reshape(m * n, 1, k)
         alone = OpenSystem(
-            times=np.arange(m * n, dtype=float), A=self.A.reshape(m * n, k, k) - b @ c, B=b, C=c, D=np.zeros((m * n, 1, 1)), state_names=tuple(map(str, range(k))),
-            input_names=(), output_names=(), wires={"torque": slice(0, 1)}, wire_names=("joint",), wire_delay=np.zeros(1), points=("torque",), integrals=self.integrals,
-        )  # fmt: skip
+            times=np.arange(m * n, dtype=float),
+            A=self.A.reshape(m * n, k, k) - b @ c,
+            B=b,
+            C=c,
+            D=np.zeros((m * n, 1, 1)),
+            state_names=tuple(map(str, range(k))),
+            input_names=(),
+            output_names=(),
+            wires={"torque": slice(0, 1)},
+            wire_names=("joint",),
+            wire_delay=np.zeros(1),
+            points=("torque",),
+            integrals=self.integrals,
+        )
         found = margins(alone, "torque")
         per_joint = {f.name: getattr(found, f.name).reshape(m, n) for f in fields(found) if f.name not in ("times", "at", "channels")}
         whole = {name: per_joint.pop(name) for name in ("stable", "drifts")}
-        return replace(found, times=self.times, channels=self.joints, stable=whole["stable"].all(axis=1), drifts=whole["drifts"].any(axis=1), **per_joint)
+        return replace(
+            found, times=self.times, channels=self.joints, stable=whole["stable"].all(axis=1), drifts=whole["drifts"].any(axis=1), **per_joint
+        )
 
 
 def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
