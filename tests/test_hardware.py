@@ -92,6 +92,28 @@ def test_an_elastic_joint_is_two_masses_and_a_spring(kp: float, ki: float, kd: f
         close(A, np.polymul(free, [1, 0]), np.polymul(at, pid))
 
 
+@FEW
+@given(kp=kps, kd=kds, K=st.floats(20, 5000), T=lags)
+def test_the_filter_sees_the_speed_where_the_encoder_sits(kp: float, kd: float, K: float, T: float) -> None:
+    """PD with a filtered rate at the motor or at the link of an elastic joint."""
+    spring, motor, lag = np.array([K]), np.array([0.2, 0, 0]), np.array([T, 1])
+    link = np.polyadd(PLANT, spring)
+    free = np.polymul(lag, np.polyadd(np.polymul(link, np.polyadd(motor, spring)), [-K * K]))
+    pd = np.polyadd(np.polymul([kp], lag), [kd, 0])
+    for feedback, at in (("motor", link), ("link", spring)):
+        A = joint(L.JointPID(kp, kd=kd), joint_stiffness=K, motor_inertia=0.2, velocity_filter=T, feedback=feedback)
+        close(A, free, np.polymul(at, pd))
+
+
+def test_cut_at_the_encoder_the_filtered_rate_is_cut_as_well() -> None:
+    w = np.array([0.4, 3.0, 30.0])
+    s, T = 1j * w, 0.05
+    lin = ClosedLoop(robots.single_joint(), L.JointPID(20.0, 5.0, 3.0), Hold([0.4]), hardware=Hardware(velocity_filter=T)).linearize([0.0])
+    want = (20.0 + 5.0 / s + 3.0 * s / (T * s + 1)) / np.polyval(PLANT, s)
+    for at in ("torque", "position"):
+        assert_allclose(lin.frequency_response(w, at)[0, 0], want, rtol=1e-9)
+
+
 @pytest.mark.parametrize("feedback", ["motor", "link"])
 def test_a_stiff_elastic_joint_is_a_rigid_one_with_the_motors_inertia(feedback: str) -> None:
     kp, ki, kd, B = 60.0, 30.0, 8.0, 0.3
