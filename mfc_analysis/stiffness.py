@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.analysis import poles as pole_analysis
-from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 
@@ -74,25 +74,6 @@ def growth(system: OpenSystem) -> Array:
         roots = delay_roots(system, int(found.roots.count.max(initial=0)) + 2)
         return np.asarray(np.where(roots == 0, -np.inf, roots.real).max(axis=1))
     return np.asarray(np.where(found.zero, -np.inf, found.rates.real).max(axis=1))
-
-
-def without_idle(system: OpenSystem) -> OpenSystem:
-    """The system without controller integrals on which nothing depends at any of its points: the same verdicts, fewer states."""
-    used = np.ones(system.nx, bool)
-    for i in system.integrals:
-        used[i] = system.A[:, :, i].any() or system.C[:, :, i].any()
-    if used.all():
-        return system
-    new = np.cumsum(used) - 1
-
-    def kept(states: tuple[int, ...]) -> tuple[int, ...]:
-        return tuple(int(new[i]) for i in states if used[i])
-
-    return replace(
-        system, A=system.A[:, used][:, :, used], B=system.B[:, used], C=system.C[:, :, used],
-        state_names=tuple(n for n, keep in zip(system.state_names, used, strict=True) if keep),
-        integrals=kept(system.integrals), plant_states=kept(system.plant_states),
-    )  # fmt: skip
 
 
 def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0) -> StiffnessSweep:

@@ -7,8 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
+from mfc_analysis.analysis.system import without_idle
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.stiffness import growth, over_stiffness, stable_up_to, stiffness_map, with_stiffness, without_idle
+from mfc_analysis.stiffness import growth, over_stiffness, stable_up_to, stiffness_map, with_stiffness
 
 F_D = np.array([0, 0, 10.0, 0, 0, 0])
 Z = np.array([0, 0, 1.0, 0, 0, 0])
@@ -113,3 +114,12 @@ def test_the_largest_stable_stiffness_is_that_of_the_bisection(hardware: dict[st
 def test_a_loop_without_a_limit_says_so_and_one_that_is_never_stable_too() -> None:
     assert stable_up_to(slider()) == np.inf
     assert np.isnan(stable_up_to(slider(kfi=50.0)))
+
+
+def test_a_force_channel_that_no_gain_uses_has_no_loop() -> None:
+    law = mfc.laws.DampedForcePI(F_D, Z, 5 * Z, [100, 100, 100, 2, 2, 2])
+    surfaces = [mfc.Environment(3e3, preload=10.0), mfc.Environment(200.0, axes="rxry")]  # free to slide: roots at zero besides the idle integrals
+    loop = mfc.ClosedLoop(mfc.robots.ur5(), law, mfc.trajectories.Hold(Q), environment=surfaces, hardware=mfc.Hardware(torque_lag=2e-3))
+    found = loop.linearize().margins("force")
+    assert_allclose(found.sensitivity_peak[0, [0, 1, 3, 4]], 1.0, rtol=1e-12)
+    assert 1.0 < found.sensitivity_peak[0, 2] < 2.0

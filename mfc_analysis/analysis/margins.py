@@ -22,7 +22,7 @@ from mfc_analysis.analysis.crossings import Crossings, crossings
 from mfc_analysis.analysis.peak import frequencies_of_interest, sensitivity_peak, thinned
 from mfc_analysis.analysis.poles import Spectrum, spectrum, stability
 from mfc_analysis.analysis.resolvent import resolvent
-from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.analysis.zero_roots import without_zero_roots
 
 Array = NDArray[np.float64]
@@ -166,6 +166,8 @@ def margins(system: OpenSystem, at: str) -> Margins:
     Raises ``UnknownPoint`` where the loop cannot be opened there.
     Source: the crossings follow from S_i(s) = d + c (sI - A)^-1 b, see ``crossings``.
     """
+    silent = channels(system, at).empty if at == "force" else None
+    system = without_idle(system)
     ch = channels(system, at)
     modes = np.linalg.eig(ch.A)
     known = spectrum(system, modes[0].astype(np.complex128))
@@ -177,9 +179,9 @@ def margins(system: OpenSystem, at: str) -> Margins:
         figures = delayed_figures(system, at, judged, known)
     else:
         figures = _figures(ch, judged, known, (modes[0], modes[1]))
-    if at == "force":
+    if silent is not None:
         for values in vars(figures).values():
-            values[ch.empty] = np.nan
+            values[silent] = np.nan
     return Margins(system.times, at, ch.names, verdict.stable, verdict.drifts, **vars(figures))
 
 

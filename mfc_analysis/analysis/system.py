@@ -93,3 +93,22 @@ def close_wires(system: OpenSystem, keep: NDArray[np.bool_] | None = None) -> tu
     C = system.C[:, stay_out, :] + D12 @ wx
     D = system.D[:, stay_out[:, None], stay_in] + D12 @ wu
     return A, B, C, D
+
+
+def without_idle(system: OpenSystem) -> OpenSystem:
+    """The system without controller integrals on which nothing depends at any of its points: the same verdicts, fewer states."""
+    used = np.ones(system.nx, bool)
+    for i in system.integrals:
+        used[i] = system.A[:, :, i].any() or system.C[:, :, i].any()
+    if used.all():
+        return system
+    new = np.cumsum(used) - 1
+
+    def kept(states: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(int(new[i]) for i in states if used[i])
+
+    return replace(
+        system, A=system.A[:, used][:, :, used], B=system.B[:, used], C=system.C[:, :, used],
+        state_names=tuple(n for n, keep in zip(system.state_names, used, strict=True) if keep),
+        integrals=kept(system.integrals), plant_states=kept(system.plant_states),
+    )  # fmt: skip
