@@ -37,6 +37,13 @@ class Decentralised:
         found = np.linalg.eigvals(self.A).astype(complex)
         return np.take_along_axis(found, np.argsort(-found.real, axis=-1, kind="stable"), axis=-1)
 
+    def __str__(self) -> str:
+        slowest = self.poles().real.max(axis=-1)
+        k = int(np.argmax(slowest.max(axis=0)))
+        return f"{len(self.joints)} separate loops at {len(self.times)} times: slowest pole {slowest.max():.4g} 1/s ({self.joints[k]})"
+
+    __repr__ = __str__
+
     @property
     def stable(self) -> NDArray[np.bool_]:
         """(m, n) every pole in the open left half plane."""

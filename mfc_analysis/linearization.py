@@ -272,10 +272,12 @@ class Linearization:
 
     def __str__(self) -> str:
         stable = self.stable
+        t = self.times
+        when = f"t = {t[0]:g} s" if len(t) == 1 else f"{len(t)} times from {t[0]:g} to {t[-1]:g} s"
         kind = f"discrete, dt = {self.dt:g} s" if self.dt else "continuous"
         return (
-            f"{self.equations.law} on {self.equations.robot.name}, linearised at {len(self.times)} times "
-            f"from {self.times[0]:g} to {self.times[-1]:g} s ({kind}; coordinates {self.coordinates!r})\n"
+            f"{self.equations.law} on {self.equations.robot.name}, linearised at {when} "
+            f"({kind}; coordinates {self.coordinates!r})\n"
             f"stable at {int(stable.sum())} of {len(stable)} times; neutral roots {int(self.neutral.max(initial=0))}; "
             f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {np.abs(self.residual).max(initial=0.0):.3g}"
         )

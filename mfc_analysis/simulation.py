@@ -100,6 +100,8 @@ class Simulation:
     def __str__(self) -> str:
         return f"simulation from {self.t[0]:g} to {self.t[-1]:g} s, {len(self.t)} points, {len(self.events)} contact events: {self.message}"
 
+    __repr__ = __str__
+
 
 class _Path:
     """Dense output put together from segments."""

@@ -50,8 +50,8 @@ class Validation:
     def __str__(self) -> str:
         if self.message:
             return f"not validated: {self.message}"
-        reach = "beyond 3" if np.isinf(self.radius) else f"{self.radius:.3g}"
-        return f"Taylor order {self.taylor_order:.3f}; misfit {100 * self.nrmse:.3g} % at {self.size:g} rad; below 5 % up to {reach} rad"
+        reach = f"{LARGEST:g} rad and beyond" if np.isinf(self.radius) else f"{self.radius:.3g} rad"
+        return f"Taylor order {self.taylor_order:.3f}; misfit {100 * self.nrmse:.3g} % at {self.size:g} rad; below 5 % up to {reach}"
 
     __repr__ = __str__
 
