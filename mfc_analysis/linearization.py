@@ -216,8 +216,9 @@ class Linearization:
         """Disk margin of all loops at once (m,), at one point or several together. Raises UnknownPoint."""
         from mfc_analysis.analysis.disk import disk_margin
 
-        points = self._at(at) if at is None or isinstance(at, str) else tuple(at)
-        return disk_margin(self._opened_for(*([points] if isinstance(points, str) else points)), points, None if frequencies is None else checks.array("frequencies", frequencies, (None,)))
+        points = (self._at(at),) if at is None or isinstance(at, str) else tuple(at)
+        grid = None if frequencies is None else checks.array("frequencies", frequencies, (None,))
+        return disk_margin(self._opened_for(*points), points[0] if len(points) == 1 else points, grid)
 
     def frequency_response(self, frequencies: ArrayLike, at: str | None = None) -> NDArray[np.complex128]:
         """(m, n, nf) loop transfers L_i(j w) at w [rad/s], each broken alone; dead time included. Raises UnknownPoint."""
