@@ -42,7 +42,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SITE = ROOT / "build" / "site"
-LONGEST = 120  #: [s] that a page's blocks may take
+LONGEST = 300  #: [s] that a page's blocks may take
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 NOT_RUN = ("python3", "pip", "git", "mfc-analysis report")  #: installing is not a page's business; the chapter's report has tests of its own
 
