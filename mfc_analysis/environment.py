@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import Dual, Vector, concatenate, matvec, value
-from mfc_analysis.maths.se3 import Pose, log3, log_rate, pose_matrix
+from mfc_analysis.maths.se3 import Pose, log_rate, pose_matrix
 from mfc_analysis.robots.primitives import Primitives
 
 Array = NDArray[np.float64]
@@ -136,14 +136,10 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tupl
     shift: Vector = (X.p - pe) @ Re
     if X.twist is not None:
         shift = Dual(value(shift), turn.R @ X.twist[..., :3, :])
-    turned = log3(turn.R)
-    angle: Vector = turned
-    if X.twist is not None and any(i > 2 for i in surface.index):
-        xi = turn.log()
-        assert isinstance(xi, Dual)
-        angle = xi[3:]
+    rotates = any(i > 2 for i in surface.index)
+    angle: Vector = _part(turn.log(), 3, 6) if rotates else none
     rate = concatenate([_part(turn.adjoint(concatenate([_part(V, 0, 3), none])), 0, 3), none])
-    if any(i > 2 for i in surface.index):
+    if rotates:
         full = concatenate([none, angle])
         spun = log_rate(full, concatenate([none, _part(V, 3, 6)]))
         rate = concatenate([_part(rate, 0, 3), _part(spun, 3, 6)])
@@ -152,7 +148,7 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tupl
         force = _push_only(force, surface.index)
     linear = _part(turn.inverse().adjoint(concatenate([_part(force, 0, 3), none])), 0, 3)
     moment: Vector = none
-    if any(i > 2 for i in surface.index):
+    if rotates:
         moment = _part(log_rate(-concatenate([none, angle]), concatenate([none, _part(force, 3, 6)])), 3, 6)
     return concatenate([linear, moment]), force
 
