@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from mfc_analysis import laws as L
 from mfc_analysis import robots
 from mfc_analysis.environment import AXES, Environment, contact
-from mfc_analysis.errors import BadArgument
+from mfc_analysis.errors import BadArgument, NearPi
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import Jlog6, exp6
 from mfc_analysis.robots.primitives import Primitives
@@ -61,6 +61,16 @@ def test_rotations_press_by_the_rotation_vector_and_do_the_power_of_their_coordi
     assert_allclose(found[:3], 0, atol=1e-12)
     assert_allclose(found[3:], J.T @ (K @ w + c @ rate), atol=1e-9)
     assert abs(found[3:] @ (arm(NAME).jacobian(q) @ v)[3:] - (K @ w + c @ rate) @ rate) < 1e-10
+
+
+def test_a_frame_turned_by_nearly_pi_is_refused_where_its_rotations_resist_and_only_there() -> None:
+    q, v, _ = place()
+    over = arm(NAME).pose(q) @ exp6(np.array([0, 0, 0, np.pi - 1e-4, 0, 0]))
+    upside = force(Environment(100.0, pose=over, axes="z", preload=2.0), q, v)
+    assert_allclose(upside, [0, -2.0 * np.sin(1e-4), -2.0 * np.cos(1e-4), 0, 0, 0], atol=1e-9)
+    for axes in ("rz", "xrx"):
+        with pytest.raises(NearPi):
+            force(Environment(100.0, pose=over, axes=axes), q, v)
 
 
 def test_a_full_stiffness_stores_what_is_done_on_it() -> None:
