@@ -27,6 +27,7 @@ from mfc_analysis.report.section import (
     Side,
     Status,
     Table,
+    Text,
     written,
 )
 from mfc_analysis.report.sections.constraints import invariance_section
@@ -343,17 +344,25 @@ def hybrid_section() -> Section:
 
 # --- the text ----------------------------------------------------------------------------------------------------
 
-SLIPS = (
-    ("9.1", "q_t(t) in SO(3) for a vector of joint positions", "q_d in R^n: n joint positions are no rotation"),
-    ("9.1", "q' = q_d", "q' = the rate of q_d"),
-    ("9.7", "C(q, q') linear in q", "C is linear in the velocities; C q' is quadratic in them"),
-    ("9.3.2", "a diagonal mass matrix means independent joints", "the RP arm has a diagonal M(q) and is coupled through C and g"),
+SLIPS: tuple[tuple[str, Text, Text], ...] = (
+    ("9.1", (Math("q_t (t) in S O(3)"), " for a vector of joint positions"), (Math("q_d in RR^n"), ": n joint positions are no rotation")),
+    ("9.1", Math("dot(q) = q_d"), Math("dot(q) = dot(q)_d")),
+    ("9.7", (Math("C(q, dot(q))"), " linear in q"), (Math("C"), " is linear in the velocities, ", Math("C dot(q)"), " quadratic")),
+    (
+        "9.3.2",
+        "a diagonal mass matrix means independent joints",
+        ("the RP arm has a diagonal M(q) and is coupled through ", Math("C"), " and ", Math("g")),
+    ),
     ("9.12", "combines 9.7 and 9.8", "it combines 9.8 (PID) and 9.9 (feedforward)"),
-    ("9.17", "V in SO(3), F in SO*(3)", "V in se(3), F in its dual se*(3)"),
+    ("9.17", (Math('"V" in S O(3), "F" in S O^*(3)')), (Math('"V" in "se"(3), "F" in "se"^*(3)'))),
     ("9.18", "the sum ends without a right-hand side", "... = 0"),
-    ("9.19", "F_tip is the reaction of the environment on the tool", "with the sign of 9.19 it is what the robot applies to the environment"),
-    ("9.24", "K_fd in front of F_e", "K_fp, as in 9.22"),
-    ("9.3", "exercise: 'Repeat 9.1 and 9.3'", "repeat 9.1 and 9.2"),
+    (
+        "9.19",
+        (Math('"F"_"tip"'), " is the environment's action on the tool"),
+        "with the sign of 9.19 it is what the robot applies to the environment",
+    ),
+    ("9.24", (Math('K_"fd"'), " in front of ", Math('"F"_e')), (Math('K_"fp"'), ", as in 9.22")),
+    ("exercise 9.3", "repeat 9.1 and 9.3", "repeat 9.1 and 9.2"),
 )  #: place, as printed, as meant
 
 
@@ -364,9 +373,9 @@ def slips_section() -> Section:
     body = (
         Table("Slips in the text.", (Column("Where", numeric=False), Column("printed", numeric=False), Column("meant", numeric=False)), SLIPS),
         facts(
-            ("RP arm: off-diagonal of M", Number(coupled["mass"], "kg m", 2)),
-            ("RP arm: dg_1/dq_2", Number(coupled["gravity"], "N")),
-            ("C q' at twice the speed", Number(coupled["quadratic"], "times")),
+            ("RP arm: off-diagonal of M(q)", Number(coupled["mass"], "kg m", 2)),
+            ("RP arm: gravity torque per length", Number(coupled["gravity"], "Nm/m")),
+            ("Coriolis torque at twice the speed", Number(coupled["quadratic"], "times")),
         ),
     )
     checks = (
