@@ -285,6 +285,14 @@ class Linearization:
 
     __repr__ = __str__
 
+    def _repr_html_(self) -> str:
+        from mfc_analysis.notebook import table
+
+        title, *notes = str(self).splitlines()
+        worst = int(np.argmin(self.stable))
+        rows = [(f"{p.value:.5g}", f"{p.frequency:.4g}", f"{p.damping:.3g}", f"{p.time_constant:.4g}") for p in self.pole_table(worst)]
+        return table(f"{title}; poles at t = {self.times[worst]:g} s", ("pole [1/s]", "wn [rad/s]", "damping", "time constant [s]"), rows, notes)
+
 
 def _only_a(lin: Linearization) -> OpenSystem:
     """The closed A alone, as a system without wires: enough for poles and stability without dead time."""

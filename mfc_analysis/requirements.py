@@ -163,16 +163,12 @@ class Verdict:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        from html import escape
+        from mfc_analysis.notebook import table
 
         signs = {"PASS": "✓", "WATCH": "!", "FAIL": "✗"}
         heads = ("", "requirement", "found", "asked", "distance", "where", "")
-        head = "".join(f'<th scope="col">{h}</th>' for h in heads)
         rows = [(f"{signs[line.status]} {line.status}", *line.cells()[1:]) for line in self.lines]
-        body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-        notes = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
-        title = escape(str(self).splitlines()[0])
-        return f"<table><caption>{title}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{notes}"
+        return table(str(self).splitlines()[0], heads, rows, self.notes)
 
 
 @dataclass(frozen=True, kw_only=True)

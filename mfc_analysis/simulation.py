@@ -102,6 +102,15 @@ class Simulation:
 
     __repr__ = __str__
 
+    def _repr_html_(self) -> str:
+        from mfc_analysis.notebook import table
+
+        rows = []
+        for name, values in (("error", self.error), ("velocity", self.v), ("torque", self.tau), ("force", self.force)):
+            size = np.abs(values).max(axis=1)
+            rows.append((name, f"{size.max():.4g}", f"{self.t[int(np.argmax(size))]:.4g}", f"{size[-1]:.4g}"))
+        return table(str(self), ("signal", "largest", "at [s]", "at the end"), rows)
+
 
 class _Path:
     """Dense output put together from segments."""

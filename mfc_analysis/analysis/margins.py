@@ -147,7 +147,7 @@ class Margins:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        from html import escape
+        from mfc_analysis.notebook import table
 
         heads = ("channel", "gain down to", "gain up to", "phase", "delay", "Ms")
         rows = []
@@ -155,9 +155,7 @@ class Margins:
             low, peak = (_worst_of(values[:, k], True) for values in (self.gain_reduction, self.sensitivity_peak))
             high, phase, delay = (_worst_of(values[:, k], False) for values in (self.gain_increase, self.phase_deg, self.delay))
             rows.append((name, f"{low:.4g}", _factor(high), _angle(phase), _milliseconds(delay), f"{peak:.4g}"))
-        head = "".join(f'<th scope="col">{h}</th>' for h in heads)
-        body = "".join(f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{cell}</td>" for cell in row[1:]) + "</tr>" for row in rows)
-        return f"<table><caption>{escape(str(self).splitlines()[0])}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        return table(str(self).splitlines()[0], heads, rows)
 
 
 def margins(system: OpenSystem, at: str) -> Margins:

@@ -1,0 +1,37 @@
+"""Results in a notebook."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import mfc_analysis as mfc
+from mfc_analysis.notebook import table
+
+LOOP = mfc.ClosedLoop(mfc.robots.planar_2r(), mfc.laws.ComputedTorque(100, 50, 20), mfc.trajectories.Hold([0.3, 0.4]))
+LIN = LOOP.linearize(np.array([0.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("result", "said"),
+    [
+        (LIN, "damping"),
+        (LIN.margins(), "joint2"),
+        (mfc.Requirements(phase_deg=30).check(LOOP, [0.0]), "phase margin"),
+        (LOOP.simulate(0.2, initial_error=0.1), "torque"),
+        (mfc.gains.pid(bandwidth=6.0, damping=1.0), "kp"),
+    ],
+    ids=["linearization", "margins", "verdict", "simulation", "gains"],
+)
+def test_a_result_shows_itself_as_well_formed_html(result, said):
+    html = result._repr_html_()
+    ElementTree.fromstring(f"<div>{html}</div>")
+    assert said in html
+
+
+def test_a_table_escapes_every_text():
+    html = table("<a>", ("<b>",), [("<c>", "<d>")], ["<e>"])
+    assert not any(f"<{tag}>" in html for tag in "abcde")
+    assert all(f"&lt;{tag}&gt;" in html for tag in "abcde")
