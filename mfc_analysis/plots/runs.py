@@ -74,7 +74,7 @@ def traces(
     sheet.label(axes[-1], "t [s]")
     sheet.label(axes[0], title=title)
     if said is not None and len(names) > MANY:  # no room for them among the joints
-        sheet.note(axes[0], f"solid: {said[0]}, dashed: {said[1]}", (0.99, 0.93), color=sheet.GREY, ha="right", inside=True)
+        sheet.note(axes[-1], f"solid: {said[0]}, dashed: {said[1]}", (1.0, 0.0), color=sheet.GREY, ha="right", inside=True, shift=(0, -23))
     elif said is not None:
         axes[0].plot([], [], color=sheet.GREY, linewidth=1.3, label=said[0])
         axes[0].plot([], [], color=sheet.GREY, linewidth=1.1, linestyle="--", label=said[1])

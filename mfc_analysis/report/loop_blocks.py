@@ -317,7 +317,7 @@ def arm_figure(view: View) -> Figure:
         partial(
             plots.arm,
             origins,
-            worst=worst,
+            worst=worst if moving else None,
             worst_time=float(view.worst.time) if moving else None,
             title="Poses along the path" if moving else "The pose",
         ),
@@ -353,4 +353,5 @@ def validation_words(found: Validation, unit: str = "rad") -> str:
         if np.isinf(found.taylor_order)
         else f"the remainder shrinks with power {written(found.taylor_order)} of the size"
     )
-    return f"the linear model is off by {written(100 * found.nrmse)} %; it stays within 5 % up to {reach}; {order}"
+    off = f"over {written(found.time, exact=True)} s the linear model is off by {written(100 * found.nrmse)} %"
+    return f"{off}; it stays within 5 % up to {reach}; {order}"

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 VALIDATED, SHORTEST = 1.0, 0.1  #: [s] of the comparison with the nonlinear loop: at most, and at least where a mode rings
-SEGMENTS, PERIODS, RINGS = 40, 5.0, 0.2  #: samples or dead times; periods of the fastest mode whose damping ratio is below ...
+SEGMENTS, PERIODS, RINGS = 100, 5.0, 0.2  #: samples or dead times; periods of the fastest mode whose damping ratio is below ...
 _HARDWARE = {
     "torque_lag": ("torque lag", "s"),
     "velocity_lag": ("velocity lag", "s"),
@@ -128,7 +128,9 @@ def validated(view: View, time: float = VALIDATED) -> Validation | None:
 
 
 def _notes(view: View) -> list[Block]:
-    notes = [f"{line.label}: {line.note}" for line in view.verdict.lines if line.note]
+    notes = [
+        f"{line.label}: {line.note}" for line in view.verdict.lines if line.note and (line.name == "stable" or not line.note.startswith("unstable"))
+    ]
     said = [*notes, *view.verdict.notes]
     out: list[Block] = [Bullets(tuple(x[:1].upper() + x[1:] + "." for x in said))] if said else []
     if not view.requirements.asked():
@@ -176,7 +178,8 @@ def diagram(view: View) -> Figure:
     if view.loop.equations.surfaces:
         chain.append(("surface", ""))
     back = next((p for p in ("force", "position") if p in points), "")
-    reference = "F_d" if hasattr(law, "F_d") else "X_d" if law.space == "tool" else "q_d"
+    wanted = (["X_d"] if law.space == "tool" else []) + (["F_d"] if hasattr(law, "F_d") else [])
+    reference = ", ".join(wanted) or "q_d"
     output = "q, v" if law.plant == "torque" else "q"
     others = ", ".join(points)
     return Figure(
@@ -192,7 +195,7 @@ def parameters(view: View) -> tuple[Block, ...]:
     law, n = view.loop.law, view.loop.robot.n
     rows = []
     for name, gain in law.gains().items():
-        rows.append((name, law.units.get(name, ""), gain_words(gain)))
+        rows.append((name, law.units.get(name, "").replace("^2", "²").replace("^3", "³"), gain_words(gain)))
     if rows:
         heads = (
             Column("Gain", numeric=False),
@@ -290,7 +293,7 @@ def frequency_section(view: View) -> Section:
     if view.stable and view.fed_back.any():
         body.append(blocks.sensitivity(view))
     body += blocks.frequency_figures(view)
-    table = blocks.points_table(view) if view.fed_back.any() else None
+    table = blocks.points_table(view) if view.stable and view.fed_back.any() else None
     if table is not None:
         body.append(table)
     more: dict[str, Any] = {}

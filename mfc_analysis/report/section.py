@@ -164,7 +164,9 @@ class Check:
 
     @property
     def severity(self) -> tuple[int, float]:
-        """Sorts checks, worst last: by status, then by the relative distance to the limit."""
+        """Sorts checks, worst last: by status, then by the relative distance to the limit; nothing is worse than a loop that isn't stable."""
+        if self.name == "stable" and self.status is Status.FAIL:
+            return self.status.rank + 1, math.inf
         if math.isnan(self.distance):
             return self.status.rank, math.inf
         scale = abs(self.asked) if self.asked and math.isfinite(self.asked) else 1.0

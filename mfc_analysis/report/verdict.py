@@ -72,7 +72,8 @@ def said(section: Section, check: Check) -> str:
     loop = section.loop or section.title
     place = f" ({check.place})" if check.place else ""
     asked = {"≥": "at least", "≤": "at most", "<": "below"}.get(check.sense, check.sense)
-    return f"{check.name} of {loop}: {check.value} against {asked} {str(check.limit)[len(check.sense) :].strip()}{place}"
+    name = "rightmost root" if check.name == "stable" else check.name
+    return f"{name} of {loop}: {check.value} against {asked} {str(check.limit)[len(check.sense) :].strip()}{place}"
 
 
 def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:

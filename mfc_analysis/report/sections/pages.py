@@ -80,4 +80,4 @@ def _said(view: View, found: Validation) -> Block:
 
     units = sorted(set(joint_units(view.loop.robot)))
     said = blocks.validation_words(found, units[0] if len(units) == 1 else "rad, m")
-    return Paragraph(f"Against the nonlinear loop over {found.time:g} s: {said}.")
+    return Paragraph(f"Against the nonlinear loop: {said}.")
