@@ -239,3 +239,19 @@ def test_linear_models_miss_by_the_square_of_the_disturbance(module: str, key: s
     found = told(module)[key]["numbers"]["validation"]
     assert found["taylor_order"] == pytest.approx(2.0, abs=0.05)
     assert found["nrmse"] < 0.05 <= 5 * found["radius"]  # 5 % is not yet reached at 0.01
+
+
+def test_without_example_robot_data_the_seven_joint_arm_is_left_out_by_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib.metadata
+
+    from mfc_analysis.robots import catalogue
+
+    def nowhere(name: str) -> None:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(catalogue.importlib.metadata, "distribution", nowhere)
+    monkeypatch.setattr(catalogue.importlib.metadata, "files", nowhere)
+    section = task.redundant_section()
+    assert str(section.finding).startswith("Left out: ")
+    assert "example-robot-data" in str(section.finding)
+    assert section.body == ()
