@@ -27,7 +27,7 @@ _NAMES = {
     "sweep": "mfc_analysis.sweeps",
 }
 
-__all__ = sorted([*_MODULES, *_NAMES])  # noqa: PLE0605
+__all__ = sorted([*_MODULES, *_NAMES])
 
 
 def __getattr__(name: str) -> Any:

@@ -24,7 +24,8 @@ CASES = {
 
 @pytest.mark.parametrize("hardware", CASES.values(), ids=CASES)
 def test_the_remainder_shrinks_with_the_square_on_a_moving_path_with_a_wrong_model(hardware):
-    loop = mfc.ClosedLoop(UR5.with_payload(2.0), mfc.laws.ComputedTorque(100, 100, 20), MOVING, controller_model=UR5, hardware=mfc.Hardware(**hardware))
+    law = mfc.laws.ComputedTorque(100, 100, 20)
+    loop = mfc.ClosedLoop(UR5.with_payload(2.0), law, MOVING, controller_model=UR5, hardware=mfc.Hardware(**hardware))
     found = loop.validate(time=0.3)
     assert abs(found.taylor_order - 2.0) < 0.05
     assert found.nrmse < 0.01
