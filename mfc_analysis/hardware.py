@@ -78,12 +78,15 @@ class Hardware:
         return checks.per_joint(f"hardware.{name}", getattr(self, name), n)
 
 
+SCALARS = ("delay", "force_delay", "sample_time", "force_filter")  #: the same for all joints
+
+
 def _positive_or_none(name: str, given: ArrayLike) -> Any:
+    alone = name in SCALARS
+    takes = f"{'one number' if alone else 'a scalar or (n,) array'}, positive; None or 0 where it is not there"
     out = checks.array(f"hardware.{name}", given)
-    if out.ndim > 1 or np.any(out < 0) or (out.ndim == 1 and np.any(out == 0) and np.any(out > 0)):
-        raise BadArgument(f"hardware.{name}", given, "a positive scalar or (n,) array; None or 0 where it is not there")
+    if out.ndim > (0 if alone else 1) or np.any(out < 0) or (out.ndim == 1 and np.any(out == 0) and np.any(out > 0)):
+        raise BadArgument(f"hardware.{name}", given, takes)
     if not out.any():
         return None
-    if out.ndim == 1 and name in ("delay", "force_delay", "sample_time", "force_filter"):
-        raise BadArgument(f"hardware.{name}", given, "one number [s]")
     return float(out) if out.ndim == 0 else out

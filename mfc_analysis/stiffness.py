@@ -94,8 +94,8 @@ def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0) ->
 
 def _line(loop: ClosedLoop, time: float) -> Callable[[Array], StiffnessSweep]:
     """Stiffnesses (k,) -> the loop there: two linearisations, made once."""
-    first = with_stiffness(loop, _APART[0], time).linearize([time])
-    one, two = first.opened, with_stiffness(loop, _APART[1], time).linearize([time], coordinates=first.coordinates).opened
+    first = at_stiffness(loop, _APART[0], time).linearize([time])
+    one, two = first.opened, at_stiffness(loop, _APART[1], time).linearize([time], coordinates=first.coordinates).opened
 
     def swept(k: Array) -> StiffnessSweep:
         part = ((k - _APART[0]) / (_APART[1] - _APART[0]))[:, None, None]
@@ -105,7 +105,7 @@ def _line(loop: ClosedLoop, time: float) -> Callable[[Array], StiffnessSweep]:
     return swept
 
 
-def with_stiffness(loop: ClosedLoop, stiffness: float, time: float = 0.0) -> ClosedLoop:
+def at_stiffness(loop: ClosedLoop, stiffness: float, time: float = 0.0) -> ClosedLoop:
     """The same loop with another stiffness [N/m] of every surface that has a preload, and the same force at the reference of ``time``.
 
     Raises BadArgument where no surface has a preload.

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import mfc_analysis as mfc
 from mfc_analysis.analysis.system import without_idle
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.stiffness import growth, over_stiffness, stable_up_to, stiffness_map, with_stiffness
+from mfc_analysis.stiffness import at_stiffness, growth, over_stiffness, stable_up_to, stiffness_map
 
 F_D = np.array([0, 0, 10.0, 0, 0, 0])
 Z = np.array([0, 0, 1.0, 0, 0, 0])
@@ -31,7 +31,7 @@ def arm(**hardware: float) -> mfc.ClosedLoop:
 @pytest.mark.parametrize("k", [150.0, 3e3, 7e5])
 def test_the_line_through_two_stiffnesses_is_the_loop_at_any_other(k: float) -> None:
     loop = arm(torque_lag=2e-3, force_filter=1e-3)
-    direct = with_stiffness(loop, k).linearize().opened
+    direct = at_stiffness(loop, k).linearize().opened
     swept = over_stiffness(loop, [k]).opened
     for name in "ABCD":
         assert_allclose(getattr(swept, name), getattr(direct, name), rtol=1e-9, atol=1e-9 * np.abs(getattr(direct, name)).max())
@@ -64,14 +64,14 @@ def test_dead_time_counts_in_growth_and_verdict_on_both_sides() -> None:
     swept = over_stiffness(loop, stiffness)
     assert (swept.stable == (swept.growth < 0)).all()
     last = int(np.flatnonzero(swept.stable)[-1])
-    assert with_stiffness(loop, stiffness[last]).linearize().stable[0]
-    assert not with_stiffness(loop, stiffness[last + 1]).linearize().stable[0]
+    assert at_stiffness(loop, stiffness[last]).linearize().stable[0]
+    assert not at_stiffness(loop, stiffness[last + 1]).linearize().stable[0]
 
 
 def test_margins_over_stiffness_are_those_of_each_loop() -> None:
     swept = over_stiffness(slider(torque_lag=2e-3), [1e3, 5e3]).margins("force")
     for i, k in enumerate((1e3, 5e3)):
-        alone = with_stiffness(slider(torque_lag=2e-3), k).linearize().margins("force")
+        alone = at_stiffness(slider(torque_lag=2e-3), k).linearize().margins("force")
         assert_allclose(swept.phase_deg[i, 2], alone.phase_deg[0, 2], rtol=1e-9)
 
 
@@ -88,7 +88,7 @@ def test_a_surface_pressed_in_at_the_operating_point_keeps_its_force() -> None:
     pose = np.eye(4)
     pose[2, 3] = -1e-3  # 1 mm inside: 10 N and the preload
     pressed = mfc.ClosedLoop(loop.robot, loop.law, loop.ref, environment=mfc.Environment(1e4, pose=pose, preload=2.0), hardware=loop.hardware)
-    moved = with_stiffness(pressed, 5e4)
+    moved = at_stiffness(pressed, 5e4)
     assert moved.simulate([0.0]).force[0, 2] == pytest.approx(12.0)
 
 
@@ -105,8 +105,8 @@ def test_the_largest_stable_stiffness_is_that_of_the_bisection(hardware: dict[st
     loop = slider(torque_lag=2e-3, **hardware)
     found = stable_up_to(loop)
     assert found == pytest.approx(float(mfc.design.max_stiffness(loop)), rel=1e-5)
-    assert with_stiffness(loop, 0.999 * found).linearize().stable[0]
-    assert not with_stiffness(loop, 1.001 * found).linearize().stable[0]
+    assert at_stiffness(loop, 0.999 * found).linearize().stable[0]
+    assert not at_stiffness(loop, 1.001 * found).linearize().stable[0]
     if not hardware:
         assert found == pytest.approx((20.0 * 2 - 5.0) / (2e-3 * 2), rel=1e-6)
 
