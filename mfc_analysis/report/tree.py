@@ -143,9 +143,8 @@ class _Builder:
 
     def _section(self, section: s.Section, level: int) -> dict[str, Any]:
         key = self.keys[id(section)]
-        blocks = [self._block(b) for b in section.body]
-        if section.checks:
-            blocks.insert(0, self._block(judged.requirements(section)))
+        asked = (judged.requirements(section),) if section.checks else ()
+        blocks = [self._block(b) for b in (*asked, *section.body)]
         return {
             "id": key,
             "level": level,

@@ -172,7 +172,7 @@ def computed_torque(designs: Designs) -> Section:
             )
         )
     equation = Equation(designs.law("9.10", arms()[0]).typst, "computed torque control", "9.10, 9.12")
-    polynomial = Equation("e^(prime.triple) + K_d dot.double(e) + K_p dot(e) + K_i e = 0", "error dynamics with an exact model")
+    polynomial = Equation("e^((3)) + K_d dot.double(e) + K_p dot(e) + K_i e = 0", "error dynamics with an exact model")
     return Section("9.10 and 9.12 Computed torque with PID", _exactness(designs), (equation, polynomial), sections=tuple(pages), key="eq-9-10")
 
 
