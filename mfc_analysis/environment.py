@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
-from mfc_analysis.maths.dual import Dual, Vector, concatenate, matvec, value
-from mfc_analysis.maths.se3 import Pose, log_rate, pose_matrix
+from mfc_analysis.maths.dual import Dual, Vector, concatenate, matvec, times, value
+from mfc_analysis.maths.se3 import Pose, hat, log_rate, pose_matrix
 from mfc_analysis.robots.primitives import Primitives
 
 Array = NDArray[np.float64]
@@ -125,6 +125,8 @@ def contact(surfaces: Sequence[Environment], model: Primitives, q: Vector, v: Ve
 
 
 def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tuple[Vector, Vector]:
+    if max(surface.index) < 3:
+        return _press_along(surface, X, V, lose_contact)
     assert surface.pose is not None
     Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
     lead = X.p.shape[:-1]
@@ -151,6 +153,34 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tupl
     if rotates:
         moment = _part(log_rate(-concatenate([none, angle]), concatenate([none, _part(force, 3, 6)])), 3, 6)
     return concatenate([linear, moment]), force
+
+
+def _press_along(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tuple[Vector, Vector]:
+    """The same for a surface that resists translations only, whose rotations need no logarithm."""
+    assert surface.pose is not None
+    Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
+    K, B = surface.K[:3, :3], surface.B[:3, :3]
+    C = Re.T @ X.R  # from the tool to the compliance frame
+    v = value(V)[..., :3]
+    shift, rate = (X.p - pe) @ Re, times(C, v)
+    pushes = np.ones(3)
+    f = shift @ K + rate @ B + surface.f0[:3]
+    if lose_contact:
+        pushes = np.where(f > 0, 1.0, 0.0)
+        f = f * pushes
+    g = times(np.swapaxes(C, -1, -2), f)
+    none = np.zeros_like(f)
+    wrench, force = np.concatenate([g, none], axis=-1), np.concatenate([f, none], axis=-1)
+    if X.twist is None:
+        return wrench, force
+    linear, turn = X.twist[..., :3, :], X.twist[..., 3:, :]
+    dv = V.tangent[..., :3, :] if isinstance(V, Dual) else np.zeros_like(linear)
+    df = K @ (C @ linear) + B @ (C @ (dv - hat(v) @ turn))
+    if lose_contact:
+        df = pushes[..., None] * df
+    dg = np.swapaxes(C, -1, -2) @ df + hat(g) @ turn
+    zero = np.zeros_like(df)
+    return Dual(wrench, np.concatenate([dg, zero], axis=-2)), Dual(force, np.concatenate([df, zero], axis=-2))
 
 
 def _part(x: Vector, start: int, stop: int) -> Vector:
