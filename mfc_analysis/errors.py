@@ -23,6 +23,8 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
+MOST_NAMES = 40  #: names that a message lists; a whole humanoid has hundreds of frames
+
 
 class MfcError(Exception):
     """Base of all errors of this package."""
@@ -41,14 +43,18 @@ class BadArgument(MfcError, ValueError):
 
 
 class UnknownName(BadArgument):
-    """A name that isn't there; ``known`` lists those that are, and the message names the nearest."""
+    """A name that isn't there; ``known`` lists all those that are, the message the nearest and at most ``MOST_NAMES``."""
 
     def __init__(self, argument: str, got: Any, known: Iterable[str]) -> None:
         self.known = tuple(known)
-        near = get_close_matches(str(got), self.known, n=1)
+        near = get_close_matches(str(got), self.known, n=MOST_NAMES)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
-        listed = ", ".join(map(repr, self.known)) or "none"
-        super().__init__(argument, got, f"one of {listed}{hint}")
+        listed, others = self.known, 0
+        if len(self.known) > MOST_NAMES:
+            listed = tuple(dict.fromkeys((*near, *self.known)))[:MOST_NAMES]
+            others = len(self.known) - len(listed)
+        more = f" and {others} more" if others else ""
+        super().__init__(argument, got, f"one of {', '.join(map(repr, listed)) or 'none'}{more}{hint}")
 
 
 class UnknownPoint(BadArgument):
@@ -111,6 +117,6 @@ def one_warning() -> Iterator[None]:
 
 
 def _short(value: Any) -> str:
-    text = repr(value)
+    text = value if isinstance(value, str) and value.startswith("shape (") else repr(value)
     text = " ".join(text.split())
     return text if len(text) <= 120 else text[:117] + "..."
