@@ -24,7 +24,6 @@ app = typer.Typer(
 )
 
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="A study file (TOML), or the name of one that ships: see 'studies'.")]
-Bandwidth = Annotated[float | None, typer.Option(help="[rad/s] where T = L/(1 + L) falls to -3 dB.")]
 
 
 def main() -> None:
@@ -150,23 +149,23 @@ def _formats(text: str) -> tuple[str, ...]:
 @terminal.guarded
 def gains(
     kind: Annotated[str, typer.Argument(help="p, pi, pd, pid, joint-pid, force-pi or cartesian-damping.")],
-    bandwidth_hz: Annotated[float | None, typer.Option(help="[Hz] where T = L/(1 + L) falls to -3 dB.")] = None,
-    bandwidth: Annotated[float | None, typer.Option(help="[rad/s] likewise.")] = None,
-    natural_frequency_hz: Annotated[float | None, typer.Option(help="[Hz] of the dominant poles.")] = None,
-    natural_frequency: Annotated[float | None, typer.Option(help="[rad/s] likewise.")] = None,
-    crossover_hz: Annotated[float | None, typer.Option(help="[Hz] where |L| = 1.")] = None,
-    crossover: Annotated[float | None, typer.Option(help="[rad/s] likewise.")] = None,
-    settling_time: Annotated[float | None, typer.Option(help="[s] to 2 %.")] = None,
-    damping: Annotated[float | None, typer.Option(help="Damping ratio of the dominant pair [1].")] = None,
-    inertia: Annotated[str | None, typer.Option(help="[kg m^2, kg] a number, or several separated by commas [1].")] = None,
-    robot: Annotated[str | None, typer.Option(help="joint-pid, cartesian-damping: a URDF file or a name of 'robots'.")] = None,
+    bandwidth_hz: Annotated[float | None, typer.Option(help="Frequency where T = L/(1 + L) falls to -3 dB, in Hz.")] = None,
+    bandwidth: Annotated[float | None, typer.Option(help="The same, in rad/s.")] = None,
+    natural_frequency_hz: Annotated[float | None, typer.Option(help="Of the dominant poles, in Hz.")] = None,
+    natural_frequency: Annotated[float | None, typer.Option(help="The same, in rad/s.")] = None,
+    crossover_hz: Annotated[float | None, typer.Option(help="Frequency where |L| = 1, in Hz.")] = None,
+    crossover: Annotated[float | None, typer.Option(help="The same, in rad/s.")] = None,
+    settling_time: Annotated[float | None, typer.Option(help="Time to 2 %, in s.")] = None,
+    damping: Annotated[float | None, typer.Option(help="Damping ratio of the dominant pair; default: 1.")] = None,
+    inertia: Annotated[str | None, typer.Option(help="A number, or several separated by commas, in kg m^2 or kg; default: 1.")] = None,
+    robot: Annotated[str | None, typer.Option(help="joint-pid, cartesian-damping: a URDF file, a study, or a name of 'robots'.")] = None,
     tool: Annotated[str | None, typer.Option(help="Its tool frame.")] = None,
-    q: Annotated[str | None, typer.Option(help="Its pose [rad, m], numbers separated by commas; default: all 0.")] = None,
-    stiffness: Annotated[str | None, typer.Option(help="force-pi: [N/m] of the surface; cartesian-damping: a number or six.")] = None,
-    mass: Annotated[float | None, typer.Option(help="force-pi: [kg] that pushes.")] = None,
-    lag: Annotated[float | None, typer.Option(help="force-pi: [s] of the torque loop.")] = None,
-    friction: Annotated[float | None, typer.Option(help="force-pi: [N s/m].")] = None,
-    ratio: Annotated[float | None, typer.Option(help="cartesian-damping: damping ratio of each mode [1].")] = None,
+    q: Annotated[str | None, typer.Option(help="Its pose, numbers separated by commas, in rad or m; default: all 0, or the study's start.")] = None,
+    stiffness: Annotated[str | None, typer.Option(help="force-pi: of the surface, in N/m; cartesian-damping: a number or six.")] = None,
+    mass: Annotated[float | None, typer.Option(help="force-pi: what pushes, in kg.")] = None,
+    lag: Annotated[float | None, typer.Option(help="force-pi: of the torque loop, in s.")] = None,
+    friction: Annotated[float | None, typer.Option(help="force-pi: of what pushes, in N s/m.")] = None,
+    ratio: Annotated[float | None, typer.Option(help="cartesian-damping: damping ratio of each mode; default: 1.")] = None,
 ) -> None:
     """Gains from a bandwidth, natural frequency, crossover or settling time, with the formula and what they achieve."""
     from mfc_analysis import gains_command
@@ -182,20 +181,20 @@ def gains(
 @terminal.guarded
 def exercise(
     number: Annotated[str, typer.Argument(help="9.1, 9.2, 9.3 or 9.4.")],
-    target_deg: Annotated[float | None, typer.Option(help="9.1-9.3: where the link shall go [deg].")] = None,
+    target_deg: Annotated[float | None, typer.Option(help="9.1-9.3: where the link shall go, in degrees.")] = None,
     kp: Annotated[float | None, typer.Option(help="Proportional gain (9.1: N m/rad; 9.2, 9.3: 1/s^2).")] = None,
     ki: Annotated[float | None, typer.Option(help="Integral gain (9.1: N m/(rad s); 9.2, 9.3: 1/s^3).")] = None,
     kd: Annotated[float | None, typer.Option(help="Derivative gain (9.1: N m s/rad; 9.2, 9.3: 1/s).")] = None,
-    velocity_deg: Annotated[float | None, typer.Option(help="9.2, 9.3: target velocity, the top speed on the way [deg/s]; 0: a step.")] = None,
-    duration: Annotated[float, typer.Option(help="9.1-9.3: length of the run after the motion [s].")] = 5.0,
-    inertia: Annotated[float, typer.Option(help="9.1-9.3: of the link about its joint [kg m^2].")] = 0.5,
-    mass: Annotated[float, typer.Option(help="9.1-9.3: of the link [kg].")] = 1.0,
-    com_distance: Annotated[float, typer.Option(help="9.1-9.3: of its centre of mass from the joint [m].")] = 0.1,
-    damping: Annotated[float, typer.Option(help="9.1-9.3: friction of the joint [N m s/rad].")] = 0.1,
-    theta_deg: Annotated[float | None, typer.Option(help="9.4: angle of the revolute joint [deg].")] = None,
-    d: Annotated[float | None, typer.Option(help="9.4: length of the prismatic joint [m].")] = None,
-    fx: Annotated[float | None, typer.Option(help="9.4: force along x of the base [N].")] = None,
-    fy: Annotated[float | None, typer.Option(help="9.4: force along y of the base [N].")] = None,
+    velocity_deg: Annotated[float | None, typer.Option(help="9.2, 9.3: target velocity, the top speed on the way, in degrees/s; 0: a step.")] = None,
+    duration: Annotated[float, typer.Option(help="9.1-9.3: length of the run after the motion, in s.")] = 5.0,
+    inertia: Annotated[float, typer.Option(help="9.1-9.3: of the link about its joint, in kg m^2.")] = 0.5,
+    mass: Annotated[float, typer.Option(help="9.1-9.3: of the link, in kg.")] = 1.0,
+    com_distance: Annotated[float, typer.Option(help="9.1-9.3: of its centre of mass from the joint, in m.")] = 0.1,
+    damping: Annotated[float, typer.Option(help="9.1-9.3: friction of the joint, in N m s/rad.")] = 0.1,
+    theta_deg: Annotated[float | None, typer.Option(help="9.4: angle of the revolute joint, in degrees.")] = None,
+    d: Annotated[float | None, typer.Option(help="9.4: length of the prismatic joint, in m.")] = None,
+    fx: Annotated[float | None, typer.Option(help="9.4: force along x of the base, in N.")] = None,
+    fy: Annotated[float | None, typer.Option(help="9.4: force along y of the base, in N.")] = None,
     out: Annotated[Path | None, typer.Option(help="9.1-9.3: folder for the graph of position, velocity and torque (SVG).")] = None,
 ) -> None:
     """The chapter's practice questions. What no option answers is asked for on a terminal, and has its default elsewhere."""
@@ -226,6 +225,11 @@ def laws() -> None:
     terminal.table(("equation", "law", "what", "takes", "opens at"), rows)
 
 
+def _first_line(docstring: str | None) -> str:
+    """The first line of a docstring, without the formula and the marks of reStructuredText."""
+    return (docstring or "").strip().splitlines()[0].partition(": :math:")[0].replace("``", "").rstrip(".")
+
+
 @app.command()
 @terminal.guarded
 def robots() -> None:
@@ -238,7 +242,7 @@ def robots() -> None:
     rows = []
     for name in EMBEDDED:
         robot = getattr(catalogue, name)()
-        rows.append((name, "embedded", str(robot.n), robot.tool, (getattr(catalogue, name).__doc__ or "").strip().splitlines()[0].strip("r")))
+        rows.append((name, "embedded", str(robot.n), robot.tool, _first_line(getattr(catalogue, name).__doc__)))
     arms = tuple(name for name in catalogue.names() if name not in EMBEDDED or name == "ur5")
     rows += [(name, "load", "", "", "example-robot-data") for name in arms]
     terminal.table(("name", "from", "joints", "tool", "what"), rows)

@@ -24,6 +24,7 @@ def designed(kind: str, given: Mapping[str, Any]) -> Gains:
     """
     from mfc_analysis import gains
 
+    kind = kind.replace("_", "-")
     if kind not in KINDS:
         raise UnknownName("kind", kind, KINDS)
     helper = getattr(gains, kind.replace("-", "_"))
@@ -43,10 +44,23 @@ def designed(kind: str, given: Mapping[str, Any]) -> Gains:
     if "robot" not in takes:
         return helper(**asked)  # type: ignore[no-any-return]
     if "robot" not in asked:
-        raise BadArgument("--robot", None, f"a URDF file or a robot's name: {kind} needs its mass matrix")
-    arm = robot(asked.pop("robot"), tool)
-    q = asked.pop("q", [0.0] * arm.n)
+        raise BadArgument("--robot", None, f"a URDF file, a study or a robot's name: {kind} needs its mass matrix")
+    arm, start = _arm_and_start(asked.pop("robot"), tool)
+    q = asked.pop("q", start)
     return helper(arm, [q] if isinstance(q, float) else q, **asked)  # type: ignore[no-any-return]
+
+
+def _arm_and_start(name: str, tool: str | None) -> tuple[Robot, list[float]]:
+    """A robot and a pose: of a study its first loop's, payload included, where its reference starts; else the pose 0."""
+    if Path(name).suffix != ".toml":
+        arm = robot(name, tool)
+        return arm, [0.0] * arm.n
+    if tool is not None:
+        raise BadArgument("--tool", tool, f"nothing: {name} says its own tool")
+    from mfc_analysis import study
+
+    loop = study.read(name).loops[0].loop
+    return loop.robot, [float(value) for value in loop.nominal([0.0]).q[0]]
 
 
 def robot(name: str, tool: str | None = None) -> Robot:

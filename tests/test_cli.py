@@ -269,6 +269,24 @@ def test_gains_prints_what_the_helper_returns():
     assert run("gains", "cartesian-damping", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--stiffness", 1000).exit_code == 0
 
 
+def test_gains_take_the_robot_and_the_pose_of_a_study(tmp_path):
+    study = tmp_path / "one.toml"
+    assert run("init", "single_joint", "--out", study).exit_code == 0
+    of_study = run("gains", "joint_pid", "--bandwidth-hz", 4, "--robot", study)
+    of_robot = run("gains", "joint-pid", "--bandwidth-hz", 4, "--robot", "single_joint")
+    assert of_study.exit_code == 0 and of_study.stdout == of_robot.stdout
+    refused = run("gains", "joint-pid", "--bandwidth-hz", 4, "--robot", study, "--tool", "tool")
+    assert refused.exit_code == 2 and "--tool" in refused.stderr
+
+
+@pytest.mark.parametrize("command", ["gains", "exercise"])
+def test_help_says_the_units(command):
+    said = " ".join(run(command, "--help").stdout.replace("│", " ").split())
+    for unit in {"gains": ("in rad/s.", "in s.", "in N/m", "in kg."), "exercise": ("in degrees.", "in kg m^2.", "in m.", "in s.")}[command]:
+        assert unit in said
+    assert " ." not in said  # an empty place where a unit in brackets was taken for markup
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -309,6 +327,7 @@ def test_laws_and_robots_list_what_there_is():
         assert re.search(rf"{re.escape(number)} +{law.__name__}", laws)
     for name in ("single_joint", "ur5", "panda", "xarm7"):
         assert re.search(rf"^ ?{name} ", robots, re.MULTILINE)
+    assert ":math:" not in robots and "``" not in robots
 
 
 # --- habits --------------------------------------------------------------------------------------------------------------
