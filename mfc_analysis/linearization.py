@@ -14,7 +14,7 @@ from mfc_analysis.analysis import poles as pole_analysis
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.decentralised import Decentralised, decentralised
 from mfc_analysis.equations import Equations
-from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint
 from mfc_analysis.jacobians import Coordinates, closed_matrix, open_system
 from mfc_analysis.maths import checks
 from mfc_analysis.operating_point import OperatingPoint
@@ -210,13 +210,14 @@ class Linearization:
         """One-loop-at-a-time margins at ``at``, the others closed: (m, n) figures. Raises UnknownPoint."""
         from mfc_analysis.analysis.margins import margins
 
-        return margins(self._opened_for(at), self._at(at))
+        at = self._at(at)
+        return margins(self._opened_for(at), at)
 
     def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None) -> DiskMargin:
         """Disk margin of all loops at once (m,), at one point or several together. Raises UnknownPoint."""
         from mfc_analysis.analysis.disk import disk_margin
 
-        points = (self._at(at),) if at is None or isinstance(at, str) else tuple(at)
+        points = tuple(self._at(one) for one in at) if isinstance(at, (list, tuple)) and at else (self._at(at),)  # type: ignore[arg-type]
         grid = None if frequencies is None else checks.array("frequencies", frequencies, (None,))
         return disk_margin(self._opened_for(*points), points[0] if len(points) == 1 else points, grid)
 
@@ -227,7 +228,8 @@ class Linearization:
         w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies >= 0 [rad/s]")
         if np.any(w < 0):
             raise BadArgument("frequencies", frequencies, "finite frequencies >= 0 [rad/s]")
-        return frequency_response(self._opened_for(at), w, self._at(at))
+        at = self._at(at)
+        return frequency_response(self._opened_for(at), w, at)
 
     def step(self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None) -> Step:
         """Unit step response of the closed loop at one time, with its figures. Raises UnknownName."""
@@ -248,6 +250,8 @@ class Linearization:
     # --- small things --------------------------------------------------------------------------------------------
 
     def _at(self, at: str | None) -> str:
+        if at is not None and not isinstance(at, str):
+            raise UnknownPoint(repr(at), type(self.equations.law).__name__, self.equations.law.opens_at)
         return self.default_at if at is None else at
 
     def _index(self, index: int) -> int:

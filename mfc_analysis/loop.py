@@ -274,7 +274,8 @@ class ClosedLoop:
 
         A run that diverges stops, keeps what it has and says when (``diverged``, ``outcome``).
         """
-        from mfc_analysis.simulation import simulate, start_state
+        from mfc_analysis.simulation import simulate
+        from mfc_analysis.start_state import start_state
 
         if x is None:
             given = checks.at_least_1d("times", times)

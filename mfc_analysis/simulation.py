@@ -33,6 +33,7 @@ Disturbance = Callable[[float], Array]
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
 FAR = 1e4  #: [rad, m, rad/s, m/s] beyond this position or velocity a run has diverged
 SHORTEST = 1e-9  #: [s] a run below this is taken for a slip
+FASTEST = 1e15  #: [1/s of any state] beyond this rate a run is refused
 NO_FORCE = 1e-9  #: [N, Nm] a surface that presses less is not touched
 CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost: a grazing touch is not stepped over
 
@@ -191,7 +192,7 @@ class _Run:
     def _stopping(self, rates: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
         def guarded(t: float, x: Array) -> Array:
             try:
-                return rates(t, x)
+                return _of_this_world(rates(t, x))
             except MfcError as why:
                 self.refused = why
                 raise _Stop from why
@@ -201,7 +202,7 @@ class _Run:
     def _or_nan(self, rates: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
         def guarded(t: float, x: Array) -> Array:
             try:
-                return rates(t, x)
+                return _of_this_world(rates(t, x))
             except MfcError as why:
                 self.refused = why
                 return np.full(x.shape, np.nan)
@@ -255,6 +256,13 @@ class _Run:
         return out
 
 
+def _of_this_world(rates: Array) -> Array:
+    """Rates as they are; of larger ones a solver would never make an end. Raises BadArgument."""
+    if not np.abs(rates).max() < FASTEST:
+        raise BadArgument("the motion", f"rates of {np.abs(rates).max():.3g}", f"rates of the states below {FASTEST:g}")
+    return rates
+
+
 class _Stop(Exception):
     """The law refused; unwinds the solver."""
 
@@ -272,13 +280,14 @@ def simulate(
     """The run behind ``ClosedLoop.simulate``. Raises BadArgument for bad input, and what the law raises at the start."""
     asked = _asked_times(times)
     checks.choice("method", method, METHODS)
-    options = {"rtol": checks.number("rtol", rtol, low=0.0, strict=True), "atol": checks.number("atol", atol, low=0.0, strict=True), "method": method}
+    options = {"rtol": checks.number("rtol", rtol, low=1e-14), "atol": checks.number("atol", atol, low=1e-16), "method": method}
     e = loop.equations
     run = _Run(e, _disturbance(disturbance, e.n), options, _Path(float(asked[0]), x0), [])
     moving = np.concatenate([x0[where] for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
     if np.abs(moving).max() > FAR:
         raise BadArgument("the start", float(np.abs(moving).max()), f"positions and velocities up to {FAR:g}")
-    e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # an impossible start is an error, not an outcome
+    start = e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # an impossible start is an error, not an outcome
+    _of_this_world(value(e.join(start.rates)))
     with one_warning():
         if len(asked) > 1:
             _run(run, asked, x0)
@@ -348,82 +357,6 @@ def _signals(run: _Run, t: Array, x: Array) -> tuple[Array, Array, Flow]:
             if run.outcome is not Outcome.REFUSED or len(t) == 1:
                 raise
             t, x = t[:-1], x[:-1]
-
-
-def start_state(
-    loop: ClosedLoop,
-    t: float,
-    initial_error: ArrayLike,
-    q: ArrayLike | None,
-    v: ArrayLike | None,
-    integral: Any,
-    force_integral: ArrayLike,
-    actuator: ArrayLike | None,
-) -> Array:
-    """(nx,) the state a run starts from: see ``ClosedLoop.simulate``. Raises BadArgument."""
-    e, n = loop.equations, loop.robot.n
-    nominal = loop.nominal([t])
-    slots: dict[str, Array] = {name: np.zeros(where.stop - where.start) for name, (where, _) in e.parts.items()}
-    slots["q"] = checks.array("q", q, (n,)) if q is not None else _displaced(loop, t, nominal.q[0], initial_error)
-    if "v" in slots:
-        slots["v"] = checks.array("v", v, (n,)) if v is not None else nominal.v[0]
-    elif v is not None:
-        raise BadArgument("v", v, f"nothing for {type(loop.law).__name__}: under a velocity law the joint velocity is not a state")
-    if "z" in slots:
-        slots["z"] = _integral(loop, t, integral, slots["z"].size)
-    if "z_f" in slots:
-        slots["z_f"] = np.array(checks.per_joint("force_integral", force_integral, 6))
-    F = value(e.touch(slots).wrench)
-    if "theta" in slots:
-        static = value(e.plant.rnea(slots["q"], slots["v"], nominal.a[0])) + value(e.plant.jacobian_transpose(slots["q"], F))
-        slots["theta"], slots["omega"] = slots["q"] + static / e.hardware.per_joint("joint_stiffness", n), np.array(slots["v"])
-    if "v_filter" in slots:
-        slots["v_filter"] = np.array(slots["omega"] if "omega" in slots and e.hardware.feedback == "motor" else slots["v"])
-    if "F_filter" in slots:
-        slots["F_filter"] = np.array(F)
-    if "lag" in slots:
-        if actuator is None:
-            slots["lag"] = np.array(value(e._limited(e.flow(t, value(e.join(slots))).command)))
-        else:
-            slots["lag"] = checks.array("actuator", actuator, (n,))
-    elif actuator is not None:
-        raise BadArgument("actuator", actuator, "nothing here: the actuators have no lag (Hardware(torque_lag=) or velocity_lag)")
-    return value(e.join(slots))
-
-
-def _integral(loop: ClosedLoop, t: float, integral: Any, size: int) -> Array:
-    from mfc_analysis.operating_point import trimmed
-
-    if isinstance(integral, str):
-        checks.choice("integral", integral, ("trimmed",))
-        where = loop.equations.parts["z"].where
-        return trimmed(loop.equations, np.array([t]), loop.nominal([t])).x[0, where]
-    return np.array(checks.per_joint("integral", integral, size))
-
-
-def _displaced(loop: ClosedLoop, t: float, q_d: Array, initial_error: ArrayLike) -> Array:
-    """The joint position whose error is the one asked for: e = q_d - q, or X_e = log6(X^-1 X_d) for tool laws."""
-    n = loop.robot.n
-    error = checks.array("initial_error", initial_error)
-    tool = loop.law.space == "tool"
-    if not np.any(error):
-        return q_d
-    if tool and error.ndim == 0:
-        error = np.full(6, float(error))
-    if tool and error.shape == (6,):
-        from mfc_analysis.maths.se3 import exp6
-        from mfc_analysis.trajectories.inverse_kinematics import follow
-        from mfc_analysis.trajectories.tool import ToolLine
-
-        ref = loop.equations.reference(t)
-        X_d = ref.X.matrix  # type: ignore[union-attr]
-        line = ToolLine(X_d, X_d @ exp6(-error), 1.0)
-        return np.array(follow(loop.robot, line, q_d, np.array([1.0]))[0][0])
-    if error.ndim == 1 and error.shape != (n,):
-        raise BadArgument("initial_error", f"shape {error.shape}", f"a scalar or shape ({n},)" + (" or X_e of shape (6,)" if tool else ""))
-    if error.ndim > 1:
-        raise BadArgument("initial_error", f"shape {error.shape}", f"a scalar or shape ({n},)")
-    return np.asarray(q_d - error)
 
 
 def _asked_times(times: float | ArrayLike) -> Array:

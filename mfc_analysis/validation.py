@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.floquet import accumulated
-from mfc_analysis.errors import MfcError
+from mfc_analysis.errors import BadArgument, MfcError
 from mfc_analysis.maths import checks
 from mfc_analysis.prediction import delayed, sampled_along, sampled_at_rest
 from mfc_analysis.time_varying import TIGHT, transitions_along
@@ -57,9 +57,14 @@ class Validation:
 
 
 def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validation:
-    """The comparison behind ``ClosedLoop.validate``. Raises BadArgument for a time or size that is not positive."""
+    """The comparison behind ``ClosedLoop.validate``.
+
+    Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is no integer >= 0.
+    """
     time = checks.number("time", time, low=0.0, strict=True)
-    size = checks.number("size", size, low=0.0, strict=True)
+    size = checks.number("size", size, low=1e-8)
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise BadArgument("seed", seed, "an integer >= 0")
     x0 = loop.linearize([0.0], coordinates="state").point.x[0]
     t = _grid(loop, time)
     base = loop.simulate(t, x=x0, **TIGHT)  # type: ignore[arg-type]

@@ -112,7 +112,7 @@ def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
         if not 0 <= name < len(known):
             raise UnknownName(argument, name, [*known, *map(str, range(len(known)))])
         return int(name)
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         raise UnknownName(argument, name, known)
     return known.index(name)
 
