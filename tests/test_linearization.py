@@ -159,7 +159,7 @@ def test_a_point_that_a_law_does_not_have_is_refused_with_those_it_has(case: Cas
     law = case.law(6)
     known = {"torque", "command", "position", "force", "velocity"}
     for at in (known - set(law.opens_at)) | {"elbow", "rate", ""}:
-        for ask in (lin.margins, lambda at: lin.loop(0, at=at), lambda at: lin.frequency_response(W, at)):
+        for ask in (lin.margins, lambda at: lin.loop(0, at=at), lambda at: lin.frequency_response(W, at), lin.disk_margin):
             with pytest.raises(UnknownPoint) as info:
                 ask(at)
             assert info.value.known == law.opens_at and info.value.at == at and type(law).__name__ in str(info.value)
@@ -178,6 +178,15 @@ def test_what_cannot_be_asked_is_refused_by_name(ask: object, error: type[Except
     with pytest.raises(error) as info:
         ask(JOINT.linearize(T))
     assert info.value.argument == argument
+
+
+@pytest.mark.parametrize("at", [3, np.ones(2), True, ["torque", 1]], ids=str)
+def test_a_point_that_is_no_name_is_refused(at: object) -> None:
+    lin = JOINT.linearize(T)
+    asked = (lin.disk_margin,) if isinstance(at, list) else (lin.margins, lin.disk_margin, lambda at: lin.loop(0, at=at))
+    for ask in asked:
+        with pytest.raises(UnknownPoint):
+            ask(at)
 
 
 def test_indices_count_from_either_end() -> None:

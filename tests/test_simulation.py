@@ -212,7 +212,7 @@ def test_an_impossible_start_is_an_error_not_an_outcome() -> None:
     ({"integral": [1.0, 2.0, 3.0]}, "integral"), ({"integral": "full"}, "integral"), ({"actuator": [1.0, 2.0]}, "actuator"), ({"x": [1.0]}, "x"),
     ({"disturbance": [1.0, 2.0, 3.0]}, "disturbance"), ({"disturbance": np.nan}, "disturbance"),
     ({"disturbance": lambda t: [1.0, 2.0, 3.0]}, "disturbance"),
-    ({"disturbance": lambda t: np.nan}, "disturbance"), ({"rtol": 0.0}, "rtol"), ({"atol": -1.0}, "atol"), ({"method": "Euler"}, "method"),
+    ({"disturbance": lambda t: np.nan}, "disturbance"), ({"rtol": 0.0}, "rtol"), ({"atol": 1e-300}, "atol"), ({"method": "Euler"}, "method"),
 ])  # fmt: skip
 def test_what_a_run_cannot_take_is_refused_by_name(given: dict, argument: str) -> None:
     loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"))
@@ -227,6 +227,24 @@ def test_a_disturbance_that_stops_being_a_number_ends_the_run_in_words() -> None
     assert sim.diverged and sim.outcome.name == "REFUSED" and "disturbance: got nan" in sim.message
     assert_allclose(sim.end, 0.2, atol=1e-6)
     assert np.isfinite(sim.x).all() and sim.t.size > 100
+
+
+def test_rates_that_no_solver_ends_with_are_refused_at_the_start_and_end_a_run_later() -> None:
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"))
+    with pytest.raises(BadArgument, match="rates"):
+        loop.simulate(0.5, disturbance=1e300)
+    sim = loop.simulate(0.5, disturbance=lambda t: 1e300 if t > 0.2 else 0.0)
+    assert sim.diverged and "rates" in sim.message
+    assert_allclose(sim.end, 0.2, atol=1e-6)
+
+
+def test_a_pose_error_is_less_than_half_a_turn() -> None:
+    q = regular_pose("ur5")
+    loop = ClosedLoop(arm("ur5"), L.TaskVelocity(3.0), ToolHold(arm("ur5").pose(q)), q_start=q)
+    for error in ([0, 0, 0, 0, 0, 3.2], 1e300):
+        with pytest.raises(BadArgument) as info:
+            loop.simulate(1.0, error)
+        assert info.value.argument == "initial_error"
 
 
 def test_a_velocity_law_has_no_velocity_to_start_with() -> None:
