@@ -83,6 +83,7 @@ def test_a_velocity_law_feels_no_surface() -> None:
     assert info.value.argument == "environment"
 
 
+@pytest.mark.filterwarnings("ignore::mfc_analysis.errors.MfcWarning")  # of the joints that match= does not name
 def test_a_reference_outside_the_limits_is_a_warning() -> None:
     limits = arm("ur5").limits
     far = np.minimum(limits.upper, 10.0) + 0.5
