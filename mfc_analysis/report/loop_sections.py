@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 VALIDATED, SHORTEST = 1.0, 0.1  #: [s] of the comparison with the nonlinear loop: at most, and at least where a mode rings
-SEGMENTS, PERIODS, RINGS = 100, 5.0, 0.2  #: samples or dead times; periods of the fastest mode whose damping ratio is below ...
+SEGMENTS, PERIODS, RINGS = 60, 5.0, 0.2  #: samples or dead times; periods of the fastest mode whose damping ratio is below ...
 _HARDWARE = {
     "torque_lag": ("torque lag", "s"),
     "velocity_lag": ("velocity lag", "s"),

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 JOINT, PRISMATIC, LINEAR, ANGULAR = 0.05, 0.01, 0.005, 0.02  #: [rad], [m], [m], [rad] sizes of the steps
 FORCE = 0.05  #: part of the force asked for; at least 1 N (Nm)
-LONGEST, SAMPLES, SEGMENTS = 4.0, 300, 400  #: [s]; points kept; dead-time segments or samples that a run may take
+LONGEST, SAMPLES, SEGMENTS = 4.0, 300, 300  #: [s]; points kept; dead-time segments or samples that a run may take
 
 
 @dataclass(frozen=True, eq=False)
