@@ -77,7 +77,7 @@ def _displaced(loop: ClosedLoop, t: float, q_d: Array, initial_error: ArrayLike)
         return q_d
     if tool and error.ndim == 0:
         error = np.full(6, float(error))
-    if tool and error.shape == (6,) and not np.linalg.norm(error[3:]) < np.pi - 1e-3:
+    if tool and error.shape == (6,) and not (np.abs(error).max() < 1e6 and np.linalg.norm(error[3:]) < np.pi - 1e-3):
         raise BadArgument("initial_error", initial_error, "X_e with a rotation of less than pi - 1e-3 rad")
     if tool and error.shape == (6,):
         from mfc_analysis.maths.se3 import exp6
