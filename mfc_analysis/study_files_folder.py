@@ -6,7 +6,7 @@ import os
 import tomllib
 from pathlib import Path
 
-from mfc_analysis.errors import BadArgument
+from mfc_analysis.errors import BadArgument, UnknownName
 
 _HERE = Path(__file__).resolve().parent
 
@@ -26,12 +26,17 @@ def shipped() -> dict[str, tuple[Path, str]]:
 
 
 def found(path: str | os.PathLike[str]) -> Path:
-    """The path itself where a file is there; else the shipped study of that name; else the path."""
+    """The path itself where a file is there or it looks like one; else the shipped study of that name.
+
+    Raises UnknownName for a bare word that is neither; it lists the study files of this folder and the shipped ones.
+    """
     given = Path(path)
     if given.exists() or given.suffix or given.parent != Path("."):
         return given
-    file = folder() / f"{given.name}.toml"
-    return file if file.is_file() else given
+    there = shipped()
+    if given.name not in there:
+        raise UnknownName("study", given.name, (*sorted(file.name for file in Path().glob("*.toml")), *there))
+    return there[given.name][0]
 
 
 def copied(target: str | os.PathLike[str]) -> tuple[Path, ...]:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
 from mfc_analysis import laws, trajectories
-from mfc_analysis.errors import MfcError
+from mfc_analysis.errors import MfcError, UnknownName
 from mfc_analysis.requirements import KINDS
 from mfc_analysis.study import StudyError, overridden, read
 from mfc_analysis.study_files_folder import copied, folder, found, shipped
@@ -295,6 +295,15 @@ def test_every_shipped_study_reads_and_says_what_it_asks(name):
     one = read(found(name))
     assert one.title and one.text and all(loop.asks for loop in one.loops)
     assert text.startswith("# ") and tomllib.loads(text)
+
+
+def test_a_word_that_is_no_study_names_the_files_here_and_the_shipped_ones(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").touch()
+    with pytest.raises(UnknownName, match="did you mean 'ur5_payload'") as info:
+        found("ur5-payload")
+    assert info.value.known == ("mine.toml", *shipped())
+    assert found("absent.toml") == Path("absent.toml") and found("folder/absent") == Path("folder/absent")
 
 
 def test_shipped_studies_can_be_copied_and_nothing_is_overwritten(tmp_path):
