@@ -46,17 +46,16 @@ class Decentralised:
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """(m, n) every pole in the open left half plane."""
-        poles = self.poles()
-        return np.asarray(np.all(poles.real < -1e-10 * np.abs(poles), axis=-1))
+        """(m, n) every root of a joint alone decays, those of integrals that act on nothing left out."""
+        from mfc_analysis.analysis.poles import stability
 
-    def margins(self) -> Margins:
-        """Margins (m, n) of each joint's own loop at its torque (velocity) command; dead time left out. NaN where that joint alone is unstable."""
-        from mfc_analysis.analysis.margins import margins
+        return np.asarray(stability(self._alone()).stable.reshape(self.b.shape[:2]))
 
+    def _alone(self) -> OpenSystem:
+        """The joints' own loops as m n systems of one wire each."""
         m, n, k = self.b.shape
         b, c = self.b.reshape(m * n, k, 1), self.c.reshape(m * n, 1, k)
-        alone = OpenSystem(
+        return OpenSystem(
             times=np.arange(m * n, dtype=float),
             A=self.A.reshape(m * n, k, k) - b @ c,
             B=b,
@@ -71,7 +70,13 @@ class Decentralised:
             points=("torque",),
             integrals=self.integrals,
         )
-        found = margins(alone, "torque")
+
+    def margins(self) -> Margins:
+        """Margins (m, n) of each joint's own loop at its torque (velocity) command; dead time left out. NaN where that joint alone is unstable."""
+        from mfc_analysis.analysis.margins import margins
+
+        m, n, _ = self.b.shape
+        found = margins(self._alone(), "torque")
         per_joint = {f.name: getattr(found, f.name).reshape(m, n) for f in fields(found) if f.name not in ("times", "at", "channels")}
         whole = {name: per_joint.pop(name) for name in ("stable", "drifts")}
         return replace(

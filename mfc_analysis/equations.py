@@ -375,7 +375,8 @@ def solve_command_for_slots(jacobian: Array, gap: Array) -> Array:
         except np.linalg.LinAlgError:
             pass
         else:
-            size = np.linalg.norm(jacobian, axis=(-2, -1)) * np.linalg.norm(inverse, axis=(-2, -1))
+            with np.errstate(invalid="ignore", over="ignore"):  # of a gain of 1e-310
+                size = np.linalg.norm(jacobian, axis=(-2, -1)) * np.linalg.norm(inverse, axis=(-2, -1))
             if np.all(size < 1e7):
                 return times(inverse, gap)
     return times(np.asarray(np.linalg.pinv(jacobian, rcond=1e-10), float), gap)
