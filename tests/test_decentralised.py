@@ -91,6 +91,23 @@ def test_coupling_can_destabilise_what_looks_stable_joint_by_joint() -> None:
     assert not np.allclose(np.sort(lin.decentralised().poles().ravel().real), np.sort(lin.poles()[0].real), rtol=0.05)
 
 
+def test_an_integral_that_acts_on_nothing_makes_no_joint_unstable() -> None:
+    kp, _, kd = GAINS
+    lin = ClosedLoop(arm("ur5"), L.JointPID(kp, [50.0, 0, 0, 0, 0, 0], kd), Hold(regular_pose("ur5"))).linearize([0.0])
+    assert lin.decentralised().stable.all() and lin.decentralised().poles().shape == (1, 6, 3)
+    limp = ClosedLoop(arm("ur5"), L.JointPID([400.0, -400.0, 200.0, 40.0, 30.0, 10.0], [50.0, 0, 0, 0, 0, 0], kd), Hold(regular_pose("ur5")))
+    assert limp.linearize([0.0]).decentralised().stable.tolist() == [[True, False, True, True, True, True]]
+
+
+def test_margins_of_each_joint_alone_are_those_of_its_own_loop() -> None:
+    lin = ClosedLoop(robots.rp(gravity=0.0), L.JointPID([30.0, 200.0], [5.0, 9.0], [8.0, 30.0]), Hold([0.4, 0.7])).linearize([0.0])
+    alone, whole = lin.decentralised().margins(), lin.margins()
+    for figure in ("gain_reduction", "gain_increase", "phase_deg", "delay", "sensitivity_peak", "crossover"):
+        assert_allclose(getattr(alone, figure), getattr(whole, figure), rtol=1e-7)  # M is diagonal: nothing couples
+    one = ClosedLoop(robots.single_joint(), L.JointPID(2.0, 50.0, 1.0), Hold([0.4])).linearize([0.0]).decentralised().margins()
+    assert not one.stable[0] and np.isnan(one.phase_deg).all()
+
+
 def test_a_single_outer_loop_is_taken_joint_by_joint_and_an_n_by_n_one_is_refused() -> None:
     tf = control.tf([8.0, 120.0, 40.0], [0.02, 1.0, 0.0])
     one = ClosedLoop(robots.single_joint(), L.InverseDynamics(tf), Hold([0.4])).linearize([0.0])
@@ -111,4 +128,3 @@ def test_a_sampled_loop_is_refused() -> None:
     loop = ClosedLoop(robots.single_joint(), L.JointPID(20.0, 5.0, 3.0), Hold([0.4]), hardware=Hardware(sample_time=1e-3))
     with pytest.raises(Unsupported):
         loop.linearize([0.0]).decentralised()
-    assert regular_pose("ur5").size == 6
