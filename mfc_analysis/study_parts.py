@@ -75,11 +75,11 @@ class Parts:
 
     @cached_property
     def model(self) -> Robot:
-        """What the controller believes: the plant with the keys of ``controller_model`` changed."""
+        """What the controller believes: the plant with the keys of ``controller_model`` changed; the plant itself where there are none."""
         given = self.table.controller_model
-        if given is None:
+        changes = {} if given is None else given.given()
+        if not changes:
             return self.robot
-        changes = given.given()
         if {"name", "load", "urdf"} & set(changes):
             changes = {"name": None, "load": None, "urdf": None, "parameters": {}} | changes
         with self._in("controller_model"):

@@ -297,6 +297,11 @@ def test_every_shipped_study_reads_and_says_what_it_asks(name):
     assert text.startswith("# ") and tomllib.loads(text)
 
 
+def test_a_controllers_model_without_keys_is_the_plant(tmp_path):
+    loop = study(tmp_path, BASE.replace("payload = false\n", "")).loops[0].loop
+    assert loop.controller_model is loop.robot
+
+
 def test_a_word_that_is_no_study_names_the_files_here_and_the_shipped_ones(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").touch()
