@@ -82,6 +82,8 @@ def test_drift_fails_unless_it_is_allowed(drifting):
     assert "drifts" in message(assert_stable, drifting)
     message(assert_margins, drifting, phase_deg=45, allow_residual=True)
     assert_stable(drifting, allow_drift=True)
+    assert_margins(drifting, phase_deg=45, allow_drift=True)
+    assert_requirements(drifting, mfc.Requirements(phase_deg=45), allow_drift=True)
     assert_margins(drifting, phase_deg=45, allow_drift=True, allow_residual=True)
     message(assert_margins, drifting, phase_deg=95, allow_drift=True, allow_residual=True)
 
@@ -93,6 +95,7 @@ def test_an_unstable_loop_fails_even_where_drift_is_allowed(unstable):
 def test_a_residual_that_matters_fails_a_verdict_but_not_stability(sagging):
     assert_stable(sagging)
     assert "error at rest" in message(assert_margins, sagging, phase_deg=20)
+    assert "error at rest" in message(assert_margins, sagging, phase_deg=20, allow_drift=True)
     assert_margins(sagging, phase_deg=20, allow_residual=True)
 
 
