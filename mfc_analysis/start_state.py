@@ -38,8 +38,12 @@ def start_state(
         raise BadArgument("v", v, f"nothing for {type(loop.law).__name__}: under a velocity law the joint velocity is not a state")
     if "z" in slots:
         slots["z"] = _integral(loop, t, integral, slots["z"].size)
+    elif not (isinstance(integral, str) and integral == "trimmed"):
+        _nothing("integral", integral, f"{type(loop.law).__name__} has no integral of the error here")
     if "z_f" in slots:
         slots["z_f"] = np.array(checks.per_joint("force_integral", force_integral, 6))
+    else:
+        _nothing("force_integral", force_integral, f"{type(loop.law).__name__} has no integral of the force error here")
     F = value(e.touch(slots).wrench)
     if "theta" in slots:
         static = value(e.plant.rnea(slots["q"], slots["v"], nominal.a[0])) + value(e.plant.jacobian_transpose(slots["q"], F))
@@ -56,6 +60,12 @@ def start_state(
     elif actuator is not None:
         raise BadArgument("actuator", actuator, "nothing here: the actuators have no lag (Hardware(torque_lag=) or velocity_lag)")
     return value(e.join(slots))
+
+
+def _nothing(argument: str, given: ArrayLike, why: str) -> None:
+    """Raise BadArgument unless the start of a state that is not there is 0."""
+    if np.any(checks.array(argument, given) != 0):
+        raise BadArgument(argument, given, f"0: {why}")
 
 
 def _integral(loop: ClosedLoop, t: float, integral: Any, size: int) -> Array:

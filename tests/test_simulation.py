@@ -221,6 +221,18 @@ def test_what_a_run_cannot_take_is_refused_by_name(given: dict, argument: str) -
     assert info.value.argument == argument
 
 
+@pytest.mark.parametrize(("given", "argument"), [
+    ({"integral": 1.0}, "integral"), ({"integral": np.nan}, "integral"), ({"integral": "full"}, "integral"),
+    ({"force_integral": 1.0}, "force_integral"), ({"force_integral": np.nan}, "force_integral"),
+])  # fmt: skip
+def test_an_integral_that_the_law_does_not_have_starts_at_nothing_but_zero(given: dict, argument: str) -> None:
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, None, 50.0), moving("planar_2r"))
+    with pytest.raises(BadArgument) as info:
+        loop.simulate(0.1, **given)
+    assert info.value.argument == argument
+    assert loop.simulate([0.0, 0.1], integral="trimmed", force_integral=0.0).x.shape == loop.simulate([0.0, 0.1], integral=np.zeros(2)).x.shape
+
+
 def test_a_disturbance_that_stops_being_a_number_ends_the_run_in_words() -> None:
     loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"))
     sim = loop.simulate(0.5, disturbance=lambda t: np.nan if t > 0.2 else 0.0)
