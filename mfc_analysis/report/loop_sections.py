@@ -30,7 +30,7 @@ from mfc_analysis.report.section import (
     Table,
     written,
 )
-from mfc_analysis.report.step_runs import step_run
+from mfc_analysis.report.step_runs import GROWTH, step_run
 from mfc_analysis.report.view import View
 from mfc_analysis.robots.skeleton import joint_units
 
@@ -114,13 +114,15 @@ def validated(view: View, time: float = VALIDATED) -> Validation | None:
     """The comparison with the nonlinear loop over at most ``time`` [s]; None where it refuses (a start that the law cannot take).
 
     It takes about sixteen runs, so it is shorter where a run is slow: at most ``SEGMENTS`` samples or dead times, and
-    ``PERIODS`` of the fastest mode that rings.
+    ``PERIODS`` of the fastest mode that rings, and ``GROWTH`` time constants of a loop that grows.
     """
     hardware = view.loop.equations.hardware
     grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=np.inf)
     roots = view.evidence._spectrum.rates[view.worst.row]
     ringing = np.abs(roots)[np.isfinite(roots) & (np.abs(roots.real) < RINGS * np.abs(roots))].max(initial=0.0)
     span = min(time, SEGMENTS * grain, max(PERIODS * 2 * np.pi / ringing, SHORTEST) if ringing else np.inf)
+    if view.growth > 0:
+        span = min(span, max(GROWTH / view.growth, 0.01))
     try:
         return view.loop.validate(float(span))
     except MfcError:

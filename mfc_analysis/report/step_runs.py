@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 JOINT, PRISMATIC, LINEAR, ANGULAR = 0.05, 0.01, 0.005, 0.02  #: [rad], [m], [m], [rad] sizes of the steps
 FORCE = 0.05  #: part of the force asked for; at least 1 N (Nm)
 LONGEST, SAMPLES, SEGMENTS = 4.0, 300, 300  #: [s]; points kept; dead-time segments or samples that a run may take
+GROWTH = 4.0  #: time constants of the fastest growth for which an unstable step is followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,14 +125,8 @@ def _duration(view: View, linear: Step) -> float:
     if linear.outcome is Outcome.SETTLES and np.isfinite(linear.settling) and linear.settling > 0:
         longest = min(1.6 * linear.settling, LONGEST)
     else:
-        rate = float(
-            np.max(
-                np.abs(view.evidence._spectrum.rates[view.worst.row].real),
-                initial=1.0,
-                where=np.isfinite(view.evidence._spectrum.rates[view.worst.row].real),
-            )
-        )
-        longest = float(np.clip(8.0 / max(rate, 1e-3), 0.1, 2.0))
+        growth = view.growth
+        longest = float(np.clip(GROWTH / growth, 0.05, LONGEST / 2)) if growth > 0 else LONGEST / 2
     hardware = view.loop.equations.hardware
     grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=0.0)
     return min(longest, SEGMENTS * grain) if grain else longest

@@ -136,6 +136,12 @@ class View:
         """(m, nx) closed-loop poles, slowest first, those at zero exact; dead time left out."""
         return self.evidence._spectrum.poles
 
+    @property
+    def growth(self) -> float:
+        """[1/s] how fast the loop grows at the worst place: the largest real part of its poles; 0 where none is to the right."""
+        real = self.evidence._spectrum.rates[self.worst.row].real
+        return float(np.max(real[np.isfinite(real)], initial=0.0))
+
     def summary(self) -> str:
         """The finding, in a sentence made from the verdict."""
         line, checks = self.verdict.worst, self.checks
