@@ -148,15 +148,21 @@ def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = Fal
 
 
 def fitting(labels: Sequence[str], room: float) -> list[str]:
-    """Labels of a legend in one line of ``room`` [inch]: a suffix that all joints share goes first, then the ends of the longest."""
+    """Labels of a legend in one line of ``room`` [inch]: a suffix that joints share goes first, then the ends of the longest.
+
+    Where cut ends leave two alike (LWristRoll, LWristYaw), the middles go instead.
+    """
     out = [" ".join(str(x).split()) for x in labels]
     letters = int((room - 0.32 * len(out)) / 0.065)
     if sum(map(len, out)) > letters and sum(x.endswith("_joint") for x in out) > 1:
         out = [x.removesuffix("_joint") for x in out]
-    while sum(map(len, out)) > letters and max(map(len, out)) > 3:
-        k = max(range(len(out)), key=lambda i: len(out[i]))
-        out[k] = out[k].rstrip("…")[:-1] + "…"
-    return out
+    sizes = [len(x) for x in out]
+    while sum(sizes) > letters and max(sizes) > 3:
+        sizes[sizes.index(max(sizes))] -= 1
+    ends = [x if len(x) <= size else x[: size - 1] + "…" for x, size in zip(out, sizes, strict=True)]
+    if len(set(ends)) == len(set(out)):
+        return ends
+    return [x if len(x) <= size else f"{x[: size // 2]}…{x[len(x) - (size - 1 - size // 2) :]}" for x, size in zip(out, sizes, strict=True)]
 
 
 def log_grid(ax: Axes, low: float, high: float) -> None:

@@ -160,6 +160,13 @@ def test_a_legend_is_shortened_until_it_fits(count):
     assert sheet.fitting(("q1", "q2"), 6.2) == ["q1", "q2"]
 
 
+def test_a_shortened_legend_tells_its_joints_apart():
+    names = [f"L{part}{axis}" for part in ("Shoulder", "Elbow", "Wrist") for axis in ("Roll", "Pitch", "Yaw")]
+    found = sheet.fitting(names, 6.2)
+    assert len(set(found)) == 9 and all(len(x) < len(name) for x, name in zip(found, names, strict=True))
+    assert sheet.fitting(("an_arm_link", "the_other_arm_link"), 1.6) == ["an_arm…", "the_ot…"]
+
+
 @pytest.mark.parametrize(("value", "said"), [(0.0, "0"), (-1e5, "−1e5"), (1e-6, "1e-6"), (0.25, "0.25"), (12000.0, "12000")])
 def test_tick_labels_have_no_offset(value, said):
     assert sheet.tick(value).replace("−", "-") == said.replace("−", "-")
