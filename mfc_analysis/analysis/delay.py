@@ -8,11 +8,13 @@ the roots are those of det [sI - A, -B; -E C, I - E D], E = diag(e^(-s T)). Cheb
 gives a matrix whose rightmost eigenvalues have nearly all digits; Newton on the determinant gives the rest.
 
 Sources: Breda, Maset, Vermiglio, "Pseudospectral differencing methods for characteristic roots of delay differential
-equations", SIAM J. Sci. Comput. 27 (2005), 482-495 (the collocation); Trefethen, Spectral Methods in MATLAB, ch. 6 (its matrix).
+equations", SIAM J. Sci. Comput. 27 (2005), 482-495 (the collocation); Trefethen, Spectral Methods in MATLAB, ch. 6 (its
+matrix); Ruhe, "Algorithms for the nonlinear eigenvalue problem", SIAM J. Numer. Anal. 10 (1973), 674-689 (copies of a root).
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -172,7 +174,7 @@ def _collocated(point: Delayed, nodes: NDArray[np.int64]) -> Complex:
 def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:
     """Newton on the determinant; roots that settle nearby, and how many settled before the first that didn't.
 
-    A root with others as near as their rounding is one of several copies: its eigenvalue is kept.
+    A root with others as near as their rounding is one of several copies, polished together.
     """
     size = np.abs(roots) + 1e-3 / point.T.max()
     apart = np.abs(roots[:, None] - roots[None, :]) + np.where(np.eye(roots.size, dtype=bool), np.inf, 0.0)
@@ -181,6 +183,7 @@ def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:
     copies = np.flatnonzero(settled)
     if copies.size:  # those of the transport alone, which are no roots, are far from a zero of the determinant
         s[copies[~(np.abs(_newton(point, s[copies])) < 1e-4 * size[copies])]] = np.nan
+        _polish_copies(point, s, copies[np.isfinite(s[copies])], size)
     for _ in range(12):
         todo = np.flatnonzero(~settled & np.isfinite(s))
         if not todo.size:
@@ -197,8 +200,40 @@ def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:
     return s[near], first_bad
 
 
+def _polish_copies(point: Delayed, s: Complex, copies: NDArray[np.int64], size: Array) -> None:
+    """Moves clusters of roots, in place: successive linear problems M(c) x = -d M'(c) x about their middle c, all copies at once (Ruhe 1973)."""
+    left = list(copies)
+    while left:
+        first = left[0]
+        group = [i for i in left if abs(s[i] - s[first]) < 2e-3 * size[first]]
+        left = [i for i in left if i not in group]
+        found = s[group]
+        for _ in range(4):
+            middle = found.mean()
+            M, slope = _characteristic(point, np.array([middle]))
+            with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
+                inverse = np.linalg.eigvals(np.linalg.solve(M[0], slope[0]))
+                nearest = inverse[np.argsort(-np.abs(inverse), kind="stable")[: len(group)]]
+                found = middle - 1 / nearest
+            if not np.all(np.abs(found - middle) < 1e-2 * size[first]) or abs(found.mean() - middle) < 1e-14 * size[first]:
+                break
+        if np.all(np.abs(found - s[group].mean()) < 1e-2 * size[first]):
+            s[group] = found
+
+
 def _newton(point: Delayed, s: Complex) -> Complex:
     """Newton's steps -1 / trace(M^-1 M') at s (k,), M the characteristic matrix."""
+    M, slope = _characteristic(point, s)
+    try:
+        quotient = np.linalg.solve(M, slope)
+    except np.linalg.LinAlgError:  # exactly on a root
+        return np.zeros(1, np.complex128) if s.size == 1 else np.concatenate([_newton(point, one) for one in s[:, None]])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(-1 / np.trace(quotient, axis1=1, axis2=2))
+
+
+def _characteristic(point: Delayed, s: Complex) -> tuple[Complex, Complex]:
+    """The characteristic matrix M (k, nx + nd, nx + nd) at s (k,), and its derivative."""
     nx, nd = len(point.A), len(point.T)
     E = np.exp(-s[:, None] * point.T)[:, :, None]
     M = np.zeros((s.size, nx + nd, nx + nd), np.complex128)
@@ -209,12 +244,7 @@ def _newton(point: Delayed, s: Complex) -> Complex:
     slope[:, :nx, :nx] = np.eye(nx)
     late = point.T[:, None] * E
     slope[:, nx:, :nx], slope[:, nx:, nx:] = late * point.C, late * point.D
-    try:
-        quotient = np.linalg.solve(M, slope)
-    except np.linalg.LinAlgError:  # exactly on a root
-        return np.zeros(1, np.complex128) if s.size == 1 else np.concatenate([_newton(point, one) for one in s[:, None]])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(-1 / np.trace(quotient, axis1=1, axis2=2))
+    return M, slope
 
 
 def _ordered(roots: Complex) -> Complex:

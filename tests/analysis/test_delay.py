@@ -90,20 +90,36 @@ def test_no_unstable_root_is_missed_at_long_delays():
         assert (roots.real > 0).sum() == encircled
 
 
-def test_identical_copies_keep_all_their_roots():
-    one = open_system(2 / s, delay=0.3)
-    three = replace(
-        one,
-        A=np.zeros((1, 3, 3)),
-        B=np.hstack([np.zeros((3, 1)), np.eye(3)])[None],
-        C=np.vstack([np.zeros((1, 3)), -2 * np.eye(3)])[None],
-        D=np.zeros((1, 4, 4)),
-        wires={"torque": slice(0, 3)},
-        wire_names=("a", "b", "c"),
-        wire_delay=np.full(3, 0.3),
-        state_names=("x", "y", "z"),
+def integrators(*gains: float) -> OpenSystem:
+    """Separate loops k/s, each with a dead time of 0.3 s."""
+    n = len(gains)
+    return replace(
+        open_system(2 / s, delay=0.3),
+        A=np.zeros((1, n, n)),
+        B=np.hstack([np.zeros((n, 1)), np.eye(n)])[None],
+        C=np.vstack([np.zeros((1, n)), -np.diag(gains)])[None],
+        D=np.zeros((1, n + 1, n + 1)),
+        wires={"torque": slice(0, n)},
+        wire_names=tuple("abc"[:n]),
+        wire_delay=np.full(n, 0.3),
+        state_names=tuple("xyz"[:n]),
     )
-    assert_allclose(delay_roots(three, 6)[0], np.repeat(delay_roots(one, 2)[0], 3), rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [6, 12, 18, 30])
+def test_identical_copies_keep_all_their_roots_with_all_digits(count):
+    expected = delay_roots(integrators(2.0), count // 3)[0]
+    assert_allclose(_sorted(delay_roots(integrators(2.0, 2.0, 2.0), count)[0]), _sorted(np.repeat(expected, 3)), rtol=1e-9)
+
+
+@pytest.mark.parametrize("apart", [1e-9, 1e-6, 1e-4, 1e-3])
+def test_nearly_identical_copies_keep_their_own_roots(apart):
+    each = np.concatenate([delay_roots(integrators(k), 8)[0] for k in (2.0, 2.0 * (1 + apart))])
+    assert_allclose(_sorted(delay_roots(integrators(2.0, 2.0 * (1 + apart)), 16)[0]), _sorted(each), rtol=1e-6)
+
+
+def _sorted(roots):
+    return roots[np.lexsort((roots.real, np.round(roots.imag, 2)))]
 
 
 def test_a_neutral_root_stays_and_the_others_are_judged():
