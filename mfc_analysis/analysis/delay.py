@@ -195,7 +195,7 @@ def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:
         s[todo[wild]] = np.nan
     near = np.isfinite(s) & (np.abs(s - roots) < 1e-2 * size)
     first_bad = int(np.argmin(near)) if not near.all() else near.size
-    real = (roots.imag == 0) | (np.abs(s.imag) < 1e-12 * size)
+    real = (single & (roots.imag == 0)) | (np.abs(s.imag) < 1e-12 * size)
     s = np.where(real, s.real + 0j, s)
     return s[near], first_bad
 

@@ -118,6 +118,14 @@ def test_nearly_identical_copies_keep_their_own_roots(apart):
     assert_allclose(_sorted(delay_roots(integrators(2.0, 2.0 * (1 + apart)), 16)[0]), _sorted(each), rtol=1e-6)
 
 
+@pytest.mark.parametrize("count", [3, 5])
+@pytest.mark.parametrize("T", [1e-9, 1e-8, 1e-7])
+def test_a_dead_time_next_to_none_leaves_the_poles(T, count):
+    plant = (16 * s**2 + 80 * s + 60) / s**3
+    found = delay_roots(open_system(plant, delay=T), count)[0]
+    assert_allclose(_sorted(found[:3]), _sorted(np.roots([1, 16, 80, 60])), rtol=1e-5)
+
+
 def _sorted(roots):
     return roots[np.lexsort((roots.real, np.round(roots.imag, 2)))]
 
