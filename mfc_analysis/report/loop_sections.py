@@ -124,7 +124,7 @@ def validated(view: View, time: float = VALIDATED) -> Validation | None:
     if view.growth > 0:
         span = min(span, max(GROWTH / view.growth, 0.01))
     try:
-        return view.loop.validate(float(span))
+        return view.loop.validate(view.calm(float(span)))
     except MfcError:
         return None
 

@@ -102,7 +102,10 @@ def step_run(view: View) -> StepRun | None:
     i = view.worst.row
     source, target, channel = next((p for p in pairs if p[2] == view.worst.name), pairs[0])
     linear = step(system, i, source, target)
-    duration = _duration(view, linear)
+    try:
+        duration = view.calm(_duration(view, linear))
+    except MfcError:
+        return None
     linear = step(system, i, source, target, duration)
     size, unit = _size(view.loop, source, channel)
     runs = [_run(loop, view, i, duration) for loop in (view.loop, _stepped(view.loop, source, size))]

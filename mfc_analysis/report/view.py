@@ -24,6 +24,7 @@ Complex = NDArray[np.complex128]
 
 NO_FEEDBACK = 1e-12  #: |L| below which nothing is fed back
 MOST_DECADES = 7.0  #: of a frequency axis
+FAR, FAST = 0.5, 10.0  #: [rad, m], [rad/s, m/s] beyond which a run that leaves its operating point is not followed
 
 
 class Place(NamedTuple):
@@ -141,6 +142,20 @@ class View:
         """[1/s] how fast the loop grows at the worst place: the largest real part of its poles; 0 where none is to the right."""
         real = self.evidence._spectrum.rates[self.worst.row].real
         return float(np.max(real[np.isfinite(real)], initial=0.0))
+
+    def calm(self, duration: float) -> float:
+        """How much of ``duration`` [s] a run from the worst place is worth following: until it is ``FAR`` from its reference or faster than ``FAST``.
+
+        All of it where the loop is stable and rests at its operating point.
+        """
+        if self.growth == 0 and not any(line.name == "residual" for line in self.verdict.lines):
+            return duration
+        x, start, span = self.lin.point.x[self.worst.row], self.worst.time, duration / 32
+        while True:
+            run = self.loop.simulate(start + np.linspace(0.0, span, 9), x=x)
+            if run.diverged or np.abs(run.error - run.error[0]).max() > FAR or np.abs(run.v).max() > FAST or span >= duration:
+                return span
+            span = min(2 * span, duration)
 
     def summary(self) -> str:
         """The finding, in a sentence made from the verdict."""
