@@ -6,7 +6,6 @@ import json
 import re
 import subprocess
 import sys
-import time
 
 import pytest
 from typer.testing import CliRunner
@@ -333,19 +332,12 @@ def test_laws_and_robots_list_what_there_is():
 # --- habits --------------------------------------------------------------------------------------------------------------
 
 
-def test_help_comes_at_once_and_loads_nothing_heavy():
+def test_help_loads_nothing_heavy():
     heavy = ("numpy", "scipy", "pinocchio", "control", "matplotlib", "pydantic")
     code = f"import sys, mfc_analysis.cli; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
-    best = min(_seconds() for _ in range(3))
-    assert best < 0.6
-
-
-def _seconds() -> float:
-    start = time.perf_counter()
     done = subprocess.run([sys.executable, "-m", "mfc_analysis", "--help"], capture_output=True, text=True, check=True)
     assert "check" in done.stdout and "exercise" in done.stdout
-    return time.perf_counter() - start
 
 
 def test_the_version_is_said():

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import time
 import warnings
 
 import numpy as np
@@ -45,17 +44,6 @@ def test_a_time_that_is_not_finite_is_refused(ref):
     for t in (np.nan, [0.0, np.inf], "now", None):
         with pytest.raises(errors.BadArgument, match="t: got"):
             ref(t)
-
-
-def test_one_time_is_fast_enough_for_a_right_hand_side():
-    for ref in REFS:
-        best = np.inf
-        for _ in range(5):
-            start = time.perf_counter()
-            for _ in range(100):
-                ref(0.7)
-            best = min(best, (time.perf_counter() - start) / 100)
-        assert best < 100e-6  # 3 to 12 us on an idle machine; a loaded one is several times slower
 
 
 def test_integers_and_floats_are_alike():
@@ -244,4 +232,4 @@ def test_a_continuous_joint_has_no_limits_to_leave():
     q0 = np.array([0, 2.9, 1.3, 4.2, 1.4, 0])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warn_outside_limits(kinova, Quintic(q0, [100, 2.9, 1.3, 4.2, 1.4, 0], 1000), [0.0, 1000.0])
+        assert warn_outside_limits(kinova, Quintic(q0, [100, 2.9, 1.3, 4.2, 1.4, 0], 1000), [0.0, 1000.0]) == ()
