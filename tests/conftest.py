@@ -10,7 +10,7 @@ from zlib import crc32
 import control
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from mfc_analysis import laws as L
 from mfc_analysis import robots
@@ -22,7 +22,7 @@ from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold, Sinusoid
 
 # the same examples at every run, and no clock: a failure is one that anyone can repeat
-settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
 
 #: the acceptance list; the last five are of example-robot-data
