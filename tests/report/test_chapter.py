@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 from functools import partial
 
+import matplotlib
 import numpy as np
 import pytest
 
+from mfc_analysis.plots import figure as sheet
 from mfc_analysis.report import chapter
 from mfc_analysis.report.section import Document, Status
 from mfc_analysis.report.sections import joint_torque, velocity
-from mfc_analysis.report.sections.arms import Designs
+from mfc_analysis.report.sections.arms import Designs, arms
+from mfc_analysis.report.tree import tree
 from mfc_analysis.report.verdict import verdict
 from mfc_analysis.report.write import rendered
+from tests.plots.test_figure import texts
 
 LOOP = "9.8 independent PID, planar 2R"
 
@@ -110,8 +114,16 @@ def test_the_same_chapter_twice_is_the_same_bytes(good):
 
 def test_designs_scale_the_gains_of_one_equation_only():
     scaled, plain = Designs(scale={"9.10": {"ki": 2.0}}), Designs()
-    from mfc_analysis.report.sections.arms import arms
-
     arm = arms()[0]
     assert np.isclose(scaled.law("9.10", arm).gains()["ki"].array, 2 * plain.law("9.10", arm).gains()["ki"].array)
     assert np.isclose(scaled.law("9.8", arm).gains()["ki"].array, plain.law("9.8", arm).gains()["ki"].array)
+
+
+@pytest.mark.parametrize("which", ["good", "bad"])
+def test_no_text_leaves_its_sheet_in_the_figures_of_the_chapter(which, request, monkeypatch):
+    with matplotlib.rc_context(sheet.settings()):
+        for drawing in tree(request.getfixturevalue(which)).figures.values():
+            for said, box, whole in texts(sheet.figure_of(drawing.draw()), monkeypatch):
+                inside = box.x0 > -0.5 and box.y0 > -0.5 and box.x1 < whole.width + 0.5 and box.y1 < whole.height + 0.5
+                assert inside, f"{said!r} in {drawing.alt}"
+            monkeypatch.undo()
