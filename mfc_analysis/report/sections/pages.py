@@ -12,7 +12,7 @@ from mfc_analysis.report.view import View
 from mfc_analysis.robots.skeleton import joint_units
 from mfc_analysis.validation import Validation
 
-COMPARED = 1.0  #: [s] of the comparison with the nonlinear loop
+COMPARED = 0.6  #: [s] of the comparison with the nonlinear loop
 
 
 def loop_page(
