@@ -18,6 +18,7 @@ def takes(what: str) -> PydanticCustomError:
 
 
 def is_number(value: Any) -> bool:
+    """Whether a value is a finite number, and no truth value."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 

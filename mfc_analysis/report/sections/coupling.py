@@ -34,6 +34,7 @@ def price(view: View) -> str:
 
 
 def coupling_words(view: View) -> str:
+    """What coupling costs, in a sentence: each joint alone beside the whole arm."""
     alone = view.lin.decentralised()
     designed, real = float(alone.poles().real.max()), view.evidence.slowest_root().value
     low = float(alone.margins().phase_deg.min()) if alone.stable.all() else float("nan")
@@ -52,6 +53,7 @@ def coupling_words(view: View) -> str:
 
 
 def coupling_numbers(view: View) -> dict[str, object]:
+    """The same for the JSON: poles and phase margins of the joints alone and coupled, relative gains."""
     alone = view.lin.decentralised()
     return {
         "decentralised_poles": alone.poles()[view.worst.row],
