@@ -47,7 +47,7 @@ def verdict(document: Document) -> Verdict:
     if missed:
         sentence = f"{_count(len(missed), len(checks))} missed"
     elif watched:
-        sentence = f"All {len(checks)} limits are met, {len(watched)} of them with a reservation"
+        sentence = f"{_count(len(checks) - len(watched), len(checks))} met, {len(watched)} {'has' if len(watched) == 1 else 'have'} a reservation"
     elif status is Status.PASS:
         sentence = f"All {len(checks)} checks are met"
     else:
