@@ -9,8 +9,7 @@ from typing import Any
 __version__ = "0.1.0"
 
 _MODULES = {
-    name: f"mfc_analysis.{name}"
-    for name in ("design", "errors", "gains", "laws", "report", "robots", "testing", "trajectories", "analysis", "plots")
+    name: f"mfc_analysis.{name}" for name in ("design", "errors", "gains", "laws", "report", "robots", "testing", "trajectories", "analysis", "plots")
 } | {"constraints": "mfc_analysis.laws.constraints"}
 
 _NAMES = {

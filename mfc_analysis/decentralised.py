@@ -47,7 +47,7 @@ class Decentralised:
     @property
     def stable(self) -> NDArray[np.bool_]:
         """(m, n) every root of a joint alone decays, those of integrals that act on nothing left out."""
-        from mfc_analysis.analysis.poles import stability
+        from mfc_analysis.analysis.stability import stability
 
         return np.asarray(stability(self._alone()).stable.reshape(self.b.shape[:2]))
 

@@ -101,6 +101,7 @@ class Equations:
     reference_source: Any  #: a reference of ``trajectories``
     surfaces: Sequence[Environment]
     hardware: Hardware
+    q_start: Array | None = None  #: (n,) where a tool reference is followed from
     plant: Primitives = field(init=False)
     controller: Primitives = field(init=False)
     parts: Mapping[str, Part] = field(init=False)

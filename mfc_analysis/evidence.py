@@ -26,7 +26,7 @@ from mfc_analysis.maths.dual import value
 if TYPE_CHECKING:
     from mfc_analysis.analysis.disk import DiskMargin
     from mfc_analysis.analysis.margins import Margins
-    from mfc_analysis.analysis.poles import Stability
+    from mfc_analysis.analysis.stability import Stability
     from mfc_analysis.linearization import Linearization
     from mfc_analysis.simulation import Simulation
     from mfc_analysis.step_responses import StepFigures

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.analysis import poles as pole_analysis
+from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.decentralised import Decentralised, decentralised
 from mfc_analysis.equations import Equations
-from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint
+from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint, Unsupported
 from mfc_analysis.jacobians import Coordinates, closed_matrix, open_system
 from mfc_analysis.maths import checks
-from mfc_analysis.operating_point import OperatingPoint
+from mfc_analysis.operating_point import OperatingPoint, at_rest, nominal, on_reference, residual
+from mfc_analysis.robots.primitives import WARN_CONDITION, Configuration
+from mfc_analysis.simulation import Simulation
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.disk import DiskMargin
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.steps import Step
 
 Array = NDArray[np.float64]
+About = Literal["reference", "equilibrium", "simulation"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +44,12 @@ class Linearization:
     equations: Equations
     point: OperatingPoint
     coordinates: Coordinates
-    default_at: str
-    again: Callable[[Array], Linearization]  #: the same loop, operating points and coordinates at other times
-    left_over: Callable[[], Array]  #: computes the residual of operating points on the reference
+    about: About
+    run: Simulation | None = None  #: what ``about="simulation"`` follows
+
+    def again(self, times: Array) -> Linearization:
+        """The same loop, operating points and coordinates at other times (m,) [s]."""
+        return linearize(self.equations, times, self.about, self.coordinates, self.run)
 
     # --- matrices ------------------------------------------------------------------------------------------------
 
@@ -54,7 +61,9 @@ class Linearization:
     @cached_property
     def residual(self) -> Array:
         """(m, n) acceleration [rad/s^2] (velocity plants: velocity [rad/s]) left over at the operating points; 0 at an equilibrium."""
-        return self.left_over() if self.point.residual is None else self.point.residual
+        if self.point.residual is not None:
+            return self.point.residual
+        return residual(self.equations, self.times, self.point.x, nominal(self.equations, self.times))
 
     @property
     def dt(self) -> float:
@@ -143,10 +152,10 @@ class Linearization:
         return self.opened if self.dt else _only_a(self)
 
     @cached_property
-    def stability(self) -> pole_analysis.Stability:
+    def stability(self) -> Stability:
         """Stable, neutral, drifting at each time, dead time included."""
         dead = self.delay or self.force_delay
-        return pole_analysis.stability(self.opened if dead or self.dt else _only_a(self))
+        return stability(self.opened if dead or self.dt else _only_a(self))
 
     @property
     def stable(self) -> NDArray[np.bool_]:
@@ -243,16 +252,14 @@ class Linearization:
 
     def transient_growth(self) -> TransientGrowth:
         """Largest singular value of the transition matrix Phi(t, 0) along the path (linear time-varying)."""
-        from mfc_analysis.time_varying import transient_growth
-
-        return transient_growth(self)
+        return _transient_growth(self)
 
     # --- small things --------------------------------------------------------------------------------------------
 
     def _at(self, at: str | None) -> str:
         if at is not None and not isinstance(at, str):
             raise UnknownPoint(repr(at), type(self.equations.law).__name__, self.equations.law.opens_at)
-        return self.default_at if at is None else at
+        return self.equations.actuator if at is None else at
 
     def _index(self, index: int) -> int:
         m = len(self.times)
@@ -298,6 +305,50 @@ class Linearization:
         return table(f"{title}; poles at t = {self.times[worst]:g} s", ("pole [1/s]", "wn [rad/s]", "damping", "time constant [s]"), rows, notes)
 
 
+def linearize(
+    equations: Equations, times: Array, about: About = "reference", coordinates: Coordinates | None = None, run: Simulation | None = None
+) -> Linearization:
+    """The linearisation behind ``ClosedLoop.linearize``: times (m,) [s], strictly increasing.
+
+    Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
+    """
+    checks.choice("about", about, ("reference", "equilibrium", "simulation"))
+    point = _points(equations, times, about, run)
+    arm = _regular(equations, point)
+    return Linearization(equations, point, _coordinates(equations, coordinates, arm), about, run)
+
+
+def _points(equations: Equations, times: Array, about: About, run: Simulation | None) -> OperatingPoint:
+    if about == "reference":
+        return on_reference(equations, times)
+    if about == "equilibrium":
+        return OperatingPoint(times, np.repeat(at_rest(equations).x, len(times), axis=0), np.zeros((len(times), equations.n)))
+    if run is None or getattr(run, "state_names", None) != equations.state_names:
+        raise BadArgument("simulation", run, 'a Simulation of this loop to linearise along, with about="simulation"')
+    return run.operating_point(times)
+
+
+def _regular(equations: Equations, point: OperatingPoint) -> Configuration:
+    """The arm at the operating points; for a tool law without damping, warned about or refused here where it is near-singular."""
+    plant = equations.plant
+    arm = plant.at(np.ascontiguousarray(point.x[:, : equations.n]))
+    if equations.law.space == "tool" and not getattr(equations.law, "damping", 0.0):
+        plant.times = point.times
+        arm.check_regular()
+    return arm
+
+
+def _coordinates(equations: Equations, asked: Coordinates | None, arm: Configuration) -> Coordinates:
+    tool, square = equations.law.space == "tool", equations.n == 6
+    if asked is None:
+        return "error" if tool and square and np.all(arm.sigma[:, 0] < WARN_CONDITION * arm.sigma[:, -1]) else "state"
+    checks.choice("coordinates", asked, ("state", "error"))
+    if asked == "error" and tool and not square:
+        takes = f"a square Jacobian: {equations.robot.name} has {equations.n} joints, so the error does not determine the state"
+        raise Unsupported("coordinates", "error", takes)
+    return asked
+
+
 def _only_a(lin: Linearization) -> OpenSystem:
     """The closed A alone, as a system without wires: enough for poles and stability without dead time."""
     A = lin.A
@@ -309,3 +360,29 @@ def _only_a(lin: Linearization) -> OpenSystem:
         wires={}, wire_names=(), wire_delay=np.zeros(0), points=(), integrals=lin.equations.integrals, plant_states=lin.equations.plant_states,
         law=type(lin.equations.law).__name__, dt=0.0,
     )  # fmt: skip
+
+
+def _transient_growth(lin: Linearization) -> TransientGrowth:
+    """Largest singular value of Phi(t, t_0) over the times of a linearisation, in its own coordinates.
+
+    The path between the times is linearised too (two Gauss nodes a step, steps no longer than the shortest of the given ones).
+    Raises BadArgument for fewer than two times.
+    """
+    from mfc_analysis.analysis.floquet import STEPS, accumulated, gauss_nodes, transition_magnus
+    from mfc_analysis.analysis.floquet import transient_growth as growth_of
+
+    times = lin.times
+    if len(times) < 2:
+        raise BadArgument("times", times, "a linearisation at two times or more: growth is along a path")
+    if lin.delay or lin.force_delay:
+        takes = "a sample_time beside it: transition matrices of a continuous loop with dead time are not finite"
+        raise Unsupported("hardware.delay", lin.delay or lin.force_delay, takes)
+    if lin.dt:
+        count = max(int(np.floor((times[-1] - times[0]) / lin.dt + 1e-9)), 1)
+        at = times[0] + lin.dt * np.arange(count)
+        return growth_of(accumulated(lin.again(at).A), times[0] + lin.dt * np.arange(count + 1))
+    count = max(STEPS, min(int(np.ceil((times[-1] - times[0]) / np.diff(times).min() - 1e-9)), 4000))
+    edges = np.linspace(times[0], times[-1], count + 1)
+    nodes = gauss_nodes(edges)
+    A = lin.again(np.ravel(nodes)).A
+    return growth_of(accumulated(transition_magnus(A.reshape(*nodes.shape, *A.shape[1:]), np.diff(edges))), edges)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,15 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.environment import Environment
 from mfc_analysis.equations import Equations, refuse_what_does_not_apply
-from mfc_analysis.errors import BadArgument, MfcWarning, Unsupported
+from mfc_analysis.errors import BadArgument
 from mfc_analysis.hardware import Hardware
-from mfc_analysis.jacobians import Coordinates, closed_matrix
+from mfc_analysis.jacobians import Coordinates
 from mfc_analysis.laws.law import Law
-from mfc_analysis.linearization import Linearization
+from mfc_analysis.linearization import About, Linearization, linearize
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import value
-from mfc_analysis.operating_point import Nominal, OperatingPoint, residual, rest_point, trimmed
-from mfc_analysis.robots.primitives import WARN_CONDITION, Configuration
+from mfc_analysis.operating_point import Nominal, at_rest, nominal
 from mfc_analysis.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -87,12 +85,11 @@ class ClosedLoop:
         if self.hardware is not None and not isinstance(self.hardware, Hardware):
             raise BadArgument("hardware", self.hardware, "a Hardware, such as mfc.Hardware(torque_lag=2e-3)")
         self._check_reference(space)
-        if self.q_start is not None:
-            set_(self, "q_start", checks.array("q_start", self.q_start, (self.robot.n,)))
+        q_start = None if self.q_start is None else checks.array("q_start", self.q_start, (self.robot.n,))
+        set_(self, "q_start", q_start)
         surfaces = self._surfaces()
-        set_(self, "equations", Equations(self.robot, model, self.law, self.ref, surfaces, self.hardware or Hardware()))
+        set_(self, "equations", Equations(self.robot, model, self.law, self.ref, surfaces, self.hardware or Hardware(), q_start))
         refuse_what_does_not_apply(self.equations)
-        set_(self, "_path", None)
 
     def _check_reference(self, space: str) -> None:
         law, name = self.law, type(self.law).__name__
@@ -129,45 +126,14 @@ class ClosedLoop:
 
     def nominal(self, times: ArrayLike) -> Nominal:
         """Joint motion (q, v, a), (m, n) each, that the reference asks for; tool references are followed from ``q_start`` (eq 9.14)."""
-        t = checks.times(times)
-        if self.ref.space == "joint":
-            point = self.ref(t)
-            return Nominal(*(np.ascontiguousarray(x) for x in point))
-        from mfc_analysis.trajectories.inverse_kinematics import follow
-
-        assert self.q_start is not None
-        found = Nominal(*follow(self.robot, self.ref, self.q_start, t, damping=float(getattr(self.law, "damping", 0.0))))
-        limits = self.robot.limits
-        over = np.maximum(found.q - limits.upper, limits.lower - found.q)
-        if np.any(over > 1e-9):
-            i, j = np.unravel_index(int(np.argmax(over)), over.shape)
-            text = f"the tool reference takes joint {self.robot.joint_names[j]} {over[i, j]:.3g} beyond its limit at t = {t[i]:.4g} s"
-            warnings.warn(text, MfcWarning, stacklevel=3)
-        return found
-
-    def _point(self, t: Array, about: str, simulation: Simulation | None) -> OperatingPoint:
-        if about == "reference":
-            return trimmed(self.equations, t, self.nominal(t))
-        if about == "equilibrium":
-            rest = self._rest()
-            m = len(t)
-            return OperatingPoint(t, np.repeat(rest.x, m, axis=0), np.zeros((m, self.robot.n)))
-        if getattr(simulation, "state_names", None) != self.equations.state_names or simulation is None:
-            raise BadArgument("simulation", simulation, 'a Simulation of this loop to linearise along, with about="simulation"')
-        return simulation.operating_point(t)
-
-    def _rest(self) -> OperatingPoint:
-        if not self.ref.is_hold:
-            raise Unsupported("about", "equilibrium", "a reference at rest (Hold, ToolHold): a moving one has no rest point")
-        start = trimmed(self.equations, np.zeros(1), self.nominal([0.0]))
-        return rest_point(self.equations, start, lambda x: closed_matrix(self.equations, np.zeros(1), x))
+        return nominal(self.equations, checks.times(times))
 
     def equilibrium(self) -> Equilibrium:
         """The rest point near the reference (a Hold): gravity sag and steady force error included.
 
         Raises NotConverged where there is none, Unsupported on a moving reference.
         """
-        rest = self._rest()
+        rest = at_rest(self.equations)
         flow = self.equations.flow(0.0, rest.x[0])
         error, force, torque = (np.array(value(x)) for x in (flow.error, flow.F_tip, flow.command))
         return Equilibrium(rest.x[0][: self.robot.n], error, force, torque, rest.x[0])
@@ -176,14 +142,14 @@ class ClosedLoop:
         """Equation 9.20's model of the same loop: g + J^T F_tip = tau. ``.force`` (6,), ``.error`` = F_d - F_tip (6,)."""
         from mfc_analysis.quasi_static import quasi_static
 
-        return quasi_static(self)
+        return quasi_static(self.equations)
 
     # --- linear --------------------------------------------------------------------------------------------------
 
     def linearize(
         self,
         times: ArrayLike = (0.0,),
-        about: Literal["reference", "equilibrium", "simulation"] = "reference",
+        about: About = "reference",
         coordinates: Coordinates | None = None,
         simulation: Simulation | None = None,
     ) -> Linearization:
@@ -197,41 +163,7 @@ class ClosedLoop:
 
         Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
         """
-        t = checks.times(times)
-        checks.choice("about", about, ("reference", "equilibrium", "simulation"))
-        point = self._point(t, about, simulation)
-        arm = self._regular(point)
-        chosen = self._coordinates(coordinates, arm)
-
-        def again(other: Array) -> Linearization:
-            return self.linearize(other, about, chosen, simulation)
-
-        def left_over() -> Array:
-            return residual(self.equations, t, point.x, self.nominal(t))
-
-        return Linearization(self.equations, point, chosen, self.default_at, again, left_over)
-
-    def _regular(self, point: OperatingPoint) -> Configuration:
-        """The arm at the operating points; for a tool law without damping, warned about or refused here where it is near-singular."""
-        plant = self.equations.plant
-        arm = plant.at(np.ascontiguousarray(point.x[:, : self.robot.n]))
-        if self.law.space == "tool" and not getattr(self.law, "damping", 0.0):
-            plant.times = point.times
-            arm.check_regular()
-        return arm
-
-    def _coordinates(self, asked: Coordinates | None, arm: Configuration) -> Coordinates:
-        if asked is not None:
-            checks.choice("coordinates", asked, ("state", "error"))
-            if asked == "error" and self.law.space == "tool" and self.robot.n != 6:
-                takes = f"a square Jacobian: {self.robot.name} has {self.robot.n} joints, so the error does not determine the state"
-                raise Unsupported("coordinates", "error", takes)
-            return asked
-        if self.law.space == "tool" and self.robot.n == 6:
-            sigma = arm.sigma
-            if np.all(sigma[:, 0] < WARN_CONDITION * sigma[:, -1]):
-                return "error"
-        return "state"
+        return linearize(self.equations, checks.times(times), about, coordinates, simulation)
 
     @property
     def default_at(self) -> str:
@@ -242,7 +174,7 @@ class ClosedLoop:
         """Floquet multipliers on the true periodic orbit of the closed loop. Raises BadArgument without a period, NotConverged."""
         from mfc_analysis.time_varying import floquet
 
-        return floquet(self, period)
+        return floquet(self.equations, period)
 
     # --- nonlinear -----------------------------------------------------------------------------------------------
 
@@ -280,19 +212,17 @@ class ClosedLoop:
         if x is None:
             given = checks.at_least_1d("times", times)
             first = 0.0 if np.ndim(times) == 0 else float(checks.times(given)[0])
-            x0 = start_state(self, first, initial_error, q, v, integral, force_integral, actuator)
+            x0 = start_state(self.equations, first, initial_error, q, v, integral, force_integral, actuator)
         else:
             x0 = checks.array("x", x, (self.equations.nx,))
-        return simulate(self, times, x0, disturbance, rtol=rtol, atol=atol, method=method)
+        return simulate(self.equations, times, x0, disturbance, rtol=rtol, atol=atol, method=method)
 
     def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
         """Linear prediction against nonlinear simulation over ``time`` [s] from the operating point disturbed by ``size`` [rad, m]."""
         from mfc_analysis.validation import validate
 
-        return validate(self, time, size, seed)
+        return validate(self.equations, time, size, seed)
 
     def __str__(self) -> str:
         extra = "" if not self.equations.surfaces else f", {len(self.equations.surfaces)} surface(s)"
         return f"{self.law} on {self.robot.name}{extra}"
-
-

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.equations import Equations, Inputs, Wires, solve_command_for_slots
-from mfc_analysis.errors import NotConverged
+from mfc_analysis.errors import MfcWarning, NotConverged, Unsupported
+from mfc_analysis.jacobians import closed_matrix
 from mfc_analysis.laws.joint_torque import InverseDynamics
 from mfc_analysis.maths.dual import Dual, value
+from mfc_analysis.trajectories.inverse_kinematics import follow
 
 Array = NDArray[np.float64]
 
@@ -35,6 +38,35 @@ class Nominal:
     q: Array  #: (m, n)
     v: Array
     a: Array
+
+
+def nominal(equations: Equations, times: Array) -> Nominal:
+    """Joint motion (q, v, a), (m, n) each, that the reference asks for; tool references are followed from ``q_start`` (eq 9.14)."""
+    if equations.reference_source.space == "joint":
+        point = equations.reference_source(times)
+        return Nominal(*(np.ascontiguousarray(x) for x in point))
+    assert equations.q_start is not None
+    damping = float(getattr(equations.law, "damping", 0.0))
+    found = Nominal(*follow(equations.robot, equations.reference_source, equations.q_start, times, damping=damping))
+    limits = equations.robot.limits
+    over = np.maximum(found.q - limits.upper, limits.lower - found.q)
+    if np.any(over > 1e-9):
+        i, j = np.unravel_index(int(np.argmax(over)), over.shape)
+        text = f"the tool reference takes joint {equations.robot.joint_names[j]} {over[i, j]:.3g} beyond its limit at t = {times[i]:.4g} s"
+        warnings.warn(text, MfcWarning, stacklevel=4)
+    return found
+
+
+def on_reference(equations: Equations, times: Array) -> OperatingPoint:
+    """Operating points on the reference, integrals trimmed."""
+    return trimmed(equations, times, nominal(equations, times))
+
+
+def at_rest(equations: Equations) -> OperatingPoint:
+    """The rest point near a reference that holds. Raises Unsupported on a moving one, NotConverged."""
+    if not equations.reference_source.is_hold:
+        raise Unsupported("about", "equilibrium", "a reference at rest (Hold, ToolHold): a moving one has no rest point")
+    return rest_point(equations, on_reference(equations, np.zeros(1)), lambda x: closed_matrix(equations, np.zeros(1), x))
 
 
 def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPoint:

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.floquet import gauss_nodes, transition_magnus
+from mfc_analysis.analysis.sampled import sampled
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.equations import Equations
 from mfc_analysis.jacobians import open_system
 from mfc_analysis.sampled_run import NODES, History, own_states_step
-
-if TYPE_CHECKING:
-    from mfc_analysis.loop import ClosedLoop
-    from mfc_analysis.simulation import Simulation
+from mfc_analysis.simulation import Simulation
 
 Array = NDArray[np.float64]
 
 
-def delayed(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> Array:
+def delayed(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
     """(N, nx) x' = A(t) x + B w(t - T), w = C x + D w(t - T) along the base run, from ``direction``; before the start w is constant.
 
     Runge-Kutta of fourth order on segments no longer than the shortest dead time, A(t) a cubic through four points of each.
     """
-    e = loop.equations
     delays = [float(d) for d in (e.hardware.delay, e.hardware.force_delay) if d is not None]
     whole = max(int(np.ceil((t[-1] - t[0]) / min(delays) - 1e-9)), 1)
     edges = np.linspace(t[0], t[-1], whole + 1)
@@ -91,11 +86,11 @@ def _between(ticks: Array, states: Array, t: Array) -> Array:
 # --- sampled loops -----------------------------------------------------------------------------------------------
 
 
-def sampled_at_rest(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> Array:
+def sampled_at_rest(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
     """(N, nx) by the discrete model of the loop, whose powers these are: the base run stays where it is."""
-    lin = loop.linearize(t[:1], about="simulation", simulation=base, coordinates="state")
-    opened, nx = lin.opened, loop.equations.nx
-    command, sensed = _first_signals(loop.equations, base, direction)
+    opened, nx = sampled(open_system(e, t[:1], base.state(t[:1])), float(e.hardware.sample_time or 0.0)), e.nx
+    A = close_wires(opened)[0][0]
+    command, sensed = _first_signals(e, base, direction)
     x = np.zeros(opened.nx)
     x[:nx] = direction
     for i, name in enumerate(opened.state_names[nx:], start=nx):  # samples under way at the start
@@ -105,7 +100,7 @@ def sampled_at_rest(loop: ClosedLoop, base: Simulation, t: Array, direction: Arr
     out = np.empty((len(t), nx))
     for k in range(len(t)):
         out[k] = x[:nx]
-        x = lin.A[0] @ x
+        x = A @ x
     return out
 
 
@@ -119,12 +114,11 @@ def _first_signals(e: Equations, base: Simulation, direction: Array) -> tuple[Ar
     return command, force
 
 
-def sampled_along(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> Array:
+def sampled_along(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
     """(N, nx) along a moving base run: the plant linearised at Gauss nodes within each sample, the law at the samples.
 
     The same order of events as in ``sampled_run.run_sampled``: read, command, hold after the dead time, own states advanced with inputs held.
     """
-    e = loop.equations
     T = float(e.hardware.sample_time or 0.0)
     delay, force_delay = (float(d or 0.0) for d in (e.hardware.delay, e.hardware.force_delay))
     start, nx = float(t[0]), e.nx

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfc_analysis.equations import Inputs, Wires
+from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.equations import Equations, Inputs, Wires
 from mfc_analysis.errors import Unsupported
+from mfc_analysis.jacobians import open_system
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import Dual, value
-
-if TYPE_CHECKING:
-    from mfc_analysis.linearization import Linearization
-    from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.operating_point import at_rest, nominal
 
 Array = NDArray[np.float64]
 
@@ -28,7 +26,8 @@ class QuasiStatic:
     force: Array  #: (6,) F_tip, tool frame [N, Nm]
     error: Array  #: (6,) F_d - F_tip
     q: Array  #: (n,) where the arm rests
-    loop: ClosedLoop
+    equations: Equations
+    x: Array | None  #: (1, nx) the rest point; None without an environment
 
     def departure(self, frequencies: ArrayLike) -> Array:
         """(nf,) how far 9.20 is from 9.19 at w [rad/s]: largest singular value of (T_dynamic - T_static), the transfers from F_d to F_tip.
@@ -36,14 +35,14 @@ class QuasiStatic:
         0 where the quasi-static model is exact, 1 where it is wrong by the whole force. Needs an environment.
         """
         w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies > 0 [rad/s]")
-        if not self.loop.equations.surfaces:
+        if not self.equations.surfaces or self.x is None:
             raise Unsupported("frequencies", frequencies, "a loop with an environment: without one the tool is held rigidly")
-        lin = self.loop.linearize([0.0], about="equilibrium", coordinates="state")
-        A, B, C, D = lin.A[0], lin.B[0], lin.C[0], lin.D[0]
-        inputs = [lin.input_names.index(f"F_d_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
-        outputs = [lin.output_names.index(f"F_tip_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
+        opened = open_system(self.equations, np.zeros(1), self.x)
+        A, B, C, D = (M[0] for M in close_wires(opened))
+        inputs = [opened.input_names.index(f"F_d_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
+        outputs = [opened.output_names.index(f"F_tip_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
         B, C, D = B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)]
-        static = _massless(lin, inputs, outputs)
+        static = _massless(self.equations, A, B, C, D)
         out = np.empty(len(w))
         for i, wi in enumerate(w):
             dynamic = C @ np.linalg.solve(1j * wi * np.eye(len(A)) - A, B) + D
@@ -51,51 +50,48 @@ class QuasiStatic:
         return out
 
 
-def _massless(lin: Linearization, inputs: list[int], outputs: list[int]) -> Callable[[complex], NDArray[np.complex128]]:
+def _massless(e: Equations, A: Array, B: Array, C: Array, D: Array) -> Callable[[complex], NDArray[np.complex128]]:
     """Transfer F_d -> F_tip with M q'' left out of the torque balance: the rows of v' say 0 = torques."""
-    A, B, C, D = lin.A[0], lin.B[0], lin.C[0], lin.D[0]
-    v = lin.equations.parts["v"].where
+    v = e.parts["v"].where
     left = np.eye(len(A))
     left[v, v] = 0.0
 
     def at(s: complex) -> NDArray[np.complex128]:
-        found = np.linalg.lstsq(s * left - A, B[:, inputs].astype(complex), rcond=1e-12)[0]
-        return np.asarray(C[outputs] @ found + D[np.ix_(outputs, inputs)])
+        found = np.linalg.lstsq(s * left - A, B.astype(complex), rcond=1e-12)[0]
+        return np.asarray(C @ found + D)
 
     return at
 
 
-def quasi_static(loop: ClosedLoop) -> QuasiStatic:
+def quasi_static(e: Equations) -> QuasiStatic:
     """The rest force of g + J^T F_tip = tau (9.20) under the loop's own law.
 
     With an environment: at the rest point of the loop (its rest point satisfies 9.20 exactly). Without one the tool is held
     rigidly in all six directions at the reference: F_tip solves J^T F_tip = tau(F_tip) - g by least squares; with a force
     integral F_tip = F_d. Raises Unsupported for velocity laws, NotConverged.
     """
-    e = loop.equations
     if e.actuator != "torque":
-        raise Unsupported("law", type(loop.law).__name__, "a law with torque inputs")
-    F_d = np.asarray(getattr(loop.law, "F_d", np.zeros(6)), float)
+        raise Unsupported("law", type(e.law).__name__, "a law with torque inputs")
+    F_d = np.asarray(getattr(e.law, "F_d", np.zeros(6)), float)
     if e.surfaces:
-        rest = loop.equilibrium()
-        return QuasiStatic(rest.force, F_d - rest.force, rest.q, loop)
-    nominal = loop.nominal([0.0])
+        rest = at_rest(e)
+        force = np.array(value(e.flow(0.0, rest.x[0]).F_tip))
+        return QuasiStatic(force, F_d - force, rest.x[0][: e.n], e, rest.x)
+    asked = nominal(e, np.zeros(1))
     slots: dict[str, Array] = {name: np.zeros((1, where.stop - where.start)) for name, (where, _) in e.parts.items()}
-    slots["q"] = nominal.q
+    slots["q"] = asked.q
     if "theta" in slots:
-        slots["theta"] = nominal.q
+        slots["theta"] = asked.q
     if "z_f" in slots:
-        return QuasiStatic(F_d.copy(), np.zeros(6), nominal.q[0], loop)
+        return QuasiStatic(F_d.copy(), np.zeros(6), asked.q[0], e, None)
     F = Dual(np.zeros((1, 6)), np.eye(6)[None])
     seeded = dict(slots)
     if "F_filter" in seeded:
         seeded["F_filter"] = F  # type: ignore[assignment]
     action, _ = e.control(np.zeros(1), seeded, F, Wires(), Inputs())
     tau = action.command
-    J_T = e.plant.at(nominal.q).J_T[0]
-    left = value(tau)[0] - value(e.plant.gravity(nominal.q))[0]
+    J_T = e.plant.at(asked.q).J_T[0]
+    left = value(tau)[0] - value(e.plant.gravity(asked.q))[0]
     slope = tau.tangent[0] if isinstance(tau, Dual) else np.zeros((e.n, 6))
     force = np.linalg.lstsq(J_T - slope, left, rcond=1e-12)[0]
-    return QuasiStatic(force, F_d - force, nominal.q[0], loop)
-
-
+    return QuasiStatic(force, F_d - force, asked.q[0], e, None)

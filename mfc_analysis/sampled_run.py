@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,7 @@ from mfc_analysis.equations import Equations, Inputs, Wires
 from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.dual import Dual, Vector, value
 from mfc_analysis.maths.expm import expm_integral
-
-if TYPE_CHECKING:
-    from mfc_analysis.simulation import _Run
+from mfc_analysis.run import _Run
 
 Array = NDArray[np.float64]
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.analysis import poles as pole_analysis
+from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
@@ -43,9 +44,9 @@ class StiffnessSweep:
         return pole_analysis.poles(self.opened)
 
     @cached_property
-    def stability(self) -> pole_analysis.Stability:
+    def stability(self) -> Stability:
         """Stable, neutral, drifting at each stiffness, dead time included."""
-        return pole_analysis.stability(without_idle(self.opened))
+        return stability(without_idle(self.opened))
 
     @property
     def stable(self) -> Bools:

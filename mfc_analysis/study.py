@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from mfc_analysis.errors import MfcError
+from mfc_analysis.study_errors import StudyError
 from mfc_analysis.study_schema import DECIDING, LoopTable, SpanTable, StudyTable
 from mfc_analysis.study_tables import REFERENCES, PoseTable, Table
 
@@ -31,14 +31,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MOST_CASES = 1000  #: combinations of ranges that a study may ask for
-
-
-class StudyError(MfcError, ValueError):
-    """A study file that cannot be used: names the file, the key, what it got and what is allowed."""
-
-    def __init__(self, file: str, key: str, problem: str, allowed: Sequence[str] = ()) -> None:
-        self.file, self.key, self.problem, self.allowed = file, key, problem, tuple(allowed)
-        super().__init__(f"{file}: {key}: {problem}" if key else f"{file}: {problem}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from mfc_analysis import robots
 from mfc_analysis.errors import BadArgument, MfcError, UnknownName
 from mfc_analysis.maths import checks
 from mfc_analysis.robots.robot import Robot
-from mfc_analysis.study import StudyError
+from mfc_analysis.study_errors import StudyError
 from mfc_analysis.study_schema import (
     EMBEDDED,
     BodyTable,

@@ -185,7 +185,7 @@ class LawTable(Table):
     @model_validator(mode="after")
     def _one_name(self) -> LawTable:
         if (self.equation is None) == (self.name is None):
-            raise takes("exactly one of equation (a string, such as \"9.10\") and name (a class, such as \"ComputedTorque\")")
+            raise takes('exactly one of equation (a string, such as "9.10") and name (a class, such as "ComputedTorque")')
         return self
 
 

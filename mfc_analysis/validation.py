@@ -8,20 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.floquet import accumulated
+from mfc_analysis.equations import Equations
 from mfc_analysis.errors import BadArgument, MfcError
 from mfc_analysis.maths import checks
+from mfc_analysis.operating_point import on_reference
 from mfc_analysis.prediction import delayed, sampled_along, sampled_at_rest
+from mfc_analysis.simulation import Simulation, simulate
 from mfc_analysis.time_varying import TIGHT, transitions_along
-
-if TYPE_CHECKING:
-    from mfc_analysis.loop import ClosedLoop
-    from mfc_analysis.simulation import Simulation
 
 Array = NDArray[np.float64]
 
@@ -56,7 +54,7 @@ class Validation:
     __repr__ = __str__
 
 
-def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validation:
+def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     """The comparison behind ``ClosedLoop.validate``.
 
     Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is no integer >= 0.
@@ -65,23 +63,23 @@ def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validatio
     size = checks.number("size", size, low=1e-8)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise BadArgument("seed", seed, "an integer >= 0")
-    x0 = loop.linearize([0.0], coordinates="state").point.x[0]
-    t = _grid(loop, time)
-    base = loop.simulate(t, x=x0, **TIGHT)  # type: ignore[arg-type]
+    x0 = on_reference(e, np.zeros(1)).x[0]
+    t = _grid(e, time)
+    base = simulate(e, t, x0, None, method="LSODA", **TIGHT)
     if base.diverged:
-        return _nothing(time, size, loop.robot.n, base.message)
-    direction = np.zeros(loop.equations.nx)
-    q = loop.equations.parts["q"].where
-    direction[q] = np.random.default_rng(seed).uniform(-1.0, 1.0, loop.robot.n)
+        return _nothing(time, size, e.n, base.message)
+    direction = np.zeros(e.nx)
+    q = e.parts["q"].where
+    direction[q] = np.random.default_rng(seed).uniform(-1.0, 1.0, e.n)
     direction[q] /= np.abs(direction[q]).max()
-    if "theta" in loop.equations.parts:  # motor and link move together
-        direction[loop.equations.parts["theta"].where] = direction[q]
-    predicted = _predict(loop, base, t, direction)
+    if "theta" in e.parts:  # motor and link move together
+        direction[e.parts["theta"].where] = direction[q]
+    predicted = _predict(e, base, t, direction)
     stopped: list[str] = []
 
     def compare(size: float, tight: bool = True) -> tuple[Array, Array] | None:
         try:
-            run = loop.simulate(t, x=x0 + size * direction, **(TIGHT if tight else {"rtol": 1e-7, "atol": 1e-10}))  # type: ignore[arg-type]
+            run = simulate(e, t, x0 + size * direction, None, method="LSODA", **(TIGHT if tight else {"rtol": 1e-7, "atol": 1e-10}))
         except MfcError as why:
             stopped.append(str(why))
             return None
@@ -96,7 +94,7 @@ def validate(loop: ClosedLoop, time: float, size: float, seed: int) -> Validatio
     order = _order(sizes, remainders, 1e-8 * sizes + ROUNDED * TIGHT["rtol"] * float(np.abs(base.x[:, q]).max()))
     here = pairs[0]
     if here is None:
-        return _nothing(time, size, loop.robot.n, stopped[0] if stopped else "the disturbed run stopped")
+        return _nothing(time, size, e.n, stopped[0] if stopped else "the disturbed run stopped")
     return Validation(time, size, order, misfit(*here), _radius(lambda s: compare(s, tight=False), size), sizes, remainders, t, *here)
 
 
@@ -105,22 +103,22 @@ def misfit(nonlinear: Array, linear: Array) -> float:
     return float(np.sqrt(np.mean((nonlinear - linear) ** 2) / max(float(np.mean(nonlinear**2)), 1e-300)))
 
 
-def _grid(loop: ClosedLoop, time: float) -> Array:
-    T = loop.equations.hardware.sample_time
+def _grid(e: Equations, time: float) -> Array:
+    T = e.hardware.sample_time
     if T is None:
         return np.linspace(0.0, time, STEPS + 1)
     return np.asarray(float(T) * np.arange(max(round(time / float(T)), 2) + 1), float)
 
 
-def _predict(loop: ClosedLoop, base: Simulation, t: Array, direction: Array) -> Array:
+def _predict(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
     """(N, nx) the linear deviation from a unit disturbance, along the base run."""
-    hardware = loop.equations.hardware
+    hardware = e.hardware
     if hardware.sample_time is not None:
         at_rest = np.abs(base.x - base.x[0]).max() <= 1e-9 * (1 + np.abs(base.x[0]).max())
-        return sampled_at_rest(loop, base, t, direction) if at_rest else sampled_along(loop, base, t, direction)
+        return sampled_at_rest(e, base, t, direction) if at_rest else sampled_along(e, base, t, direction)
     if hardware.delay is not None or hardware.force_delay is not None:
-        return delayed(loop, base, t, direction)
-    return accumulated(transitions_along(loop, base, t)) @ direction
+        return delayed(e, base, t, direction)
+    return accumulated(transitions_along(e, base, t)) @ direction
 
 
 def _order(sizes: Array, remainders: Array, floor: Array) -> float:

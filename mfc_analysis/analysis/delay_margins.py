@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
 from mfc_analysis.analysis.crossings import Crossings
 from mfc_analysis.analysis.delay import Delayed, delayed_points, rightmost
-from mfc_analysis.analysis.margins import FARTHEST, Figures, assembled, dc_sensitivity
+from mfc_analysis.analysis.margin_figures import FARTHEST, Figures, assembled, dc_sensitivity
 from mfc_analysis.analysis.peak import frequencies_of_interest, thinned
 from mfc_analysis.analysis.poles import Spectrum
 from mfc_analysis.analysis.resolvent import CONDITION

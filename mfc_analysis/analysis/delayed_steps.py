@@ -9,13 +9,11 @@ the fastest time constant (no finer than 1/60 of the shortest dead time).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.analysis.delay import delay_roots
-from mfc_analysis.analysis.steps import Run, delay_free_duration
+from mfc_analysis.analysis.step_run import Run
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths.expm import expm
@@ -47,14 +45,6 @@ def delayed_runner(system: OpenSystem, into: int, out: int) -> Callable[[float, 
         return Run(h * np.arange(steps + 1), np.append(y[:, 0], y[-1, 2]), np.append(y[:, 1], y[-1, 3]), lambda k, d: _cubic(y[k], h, d))
 
     return run
-
-
-def first_duration(system: OpenSystem, into: int, out: int) -> float:
-    """[s] to begin with: that of the loop without its dead time, no less than a few dead times, and long enough to see growth."""
-    free = delay_free_duration(replace(system, wire_delay=np.zeros_like(system.wire_delay)), into, out)
-    enough = max(free, 10 * float(system.wire_delay.max()))
-    growth = float(delay_roots(system, 1)[0, 0].real)
-    return max(enough, min(3 / growth, 20 * enough)) if growth > 0 else enough
 
 
 def _one_step(A: Array, B: Array, C: Array, D: Array, h: float) -> Array:

@@ -10,7 +10,6 @@ are taken out first (``zero_roots``); the others are judged.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,33 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, continuous
-from mfc_analysis.analysis.crossings import Crossings, crossings
+from mfc_analysis.analysis.crossings import crossings
+from mfc_analysis.analysis.delay_margins import delayed_figures
+from mfc_analysis.analysis.margin_figures import Figures, _at_zero, _put, _without_zeros, assembled, frequency
 from mfc_analysis.analysis.peak import frequencies_of_interest, sensitivity_peak, thinned
-from mfc_analysis.analysis.poles import Spectrum, spectrum, stability
+from mfc_analysis.analysis.poles import Spectrum, spectrum
 from mfc_analysis.analysis.resolvent import resolvent
+from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
-from mfc_analysis.analysis.zero_roots import without_zero_roots
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-FARTHEST = 1e9  #: a gain beyond this is infinite, one below its inverse zero
-
-
-@dataclass(frozen=True, eq=False)
-class Figures:
-    """The figures of n channels at m points; each field (m, n)."""
-
-    gain_reduction: Array  #: factor
-    gain_increase: Array  #: factor
-    reduction_frequency: Array  #: [rad/s] 0: a real root goes through zero; inf where there is no reduction
-    increase_frequency: Array  #: [rad/s] inf: no increase, or a root comes from infinity
-    phase_deg: Array  #: [deg]
-    crossover: Array  #: [rad/s]
-    delay: Array  #: [s]
-    delay_frequency: Array  #: [rad/s]
-    sensitivity_peak: Array
-    peak_frequency: Array  #: [rad/s] 0 and inf are possible
 
 
 @dataclass(frozen=True)
@@ -171,12 +154,7 @@ def margins(system: OpenSystem, at: str) -> Margins:
     known = spectrum(system, modes[0].astype(np.complex128))
     verdict = stability(system, known)
     judged = verdict.nonzero_stable & (system.nx > known.roots.count)
-    if system.wire_delay.any() and not system.dt:
-        from mfc_analysis.analysis.delay_margins import delayed_figures
-
-        figures = delayed_figures(system, at, judged, known)
-    else:
-        figures = _figures(ch, judged, known, (modes[0], modes[1]))
+    figures = delayed_figures(system, at, judged, known) if system.delayed else _figures(ch, judged, known, (modes[0], modes[1]))
     if silent is not None:
         for values in vars(figures).values():
             values[silent] = np.nan
@@ -209,29 +187,6 @@ def _figures(ch: Channels, judged: Bools, known: Spectrum, modes: Modes) -> Figu
     return figures
 
 
-def _put(figures: Figures, index: NDArray[np.int64], found: Figures) -> None:
-    for name, values in vars(figures).items():
-        values[index] = getattr(found, name)
-
-
-def _without_zeros(ch: Channels, count: int) -> tuple[Channels, Bools]:
-    """The channels without the roots at zero, and (m, n) which of them see these roots after all."""
-    one = np.eye(ch.A.shape[-1]) * (1.0 if ch.dt else 0.0)
-    step = ch.dt or 1.0
-    parts = [without_zero_roots((a - one) / step, b, c, count) for a, b, c in zip(ch.A, ch.B, ch.C, strict=True)]
-    seen = np.zeros(ch.H0.shape, bool)
-    for i, part in enumerate(parts):
-        row, size = part.C_zero, np.abs(part.C_zero)
-        rest = np.abs(part.C) @ np.abs(part.B)
-        for _ in range(len(part.A_zero)):
-            strength, scale = np.einsum("nk,kn->n", row, part.B_zero), np.einsum("nk,kn->n", size, np.abs(part.B_zero))
-            seen[i] |= np.abs(strength) > 1e-9 * (scale + np.diagonal(rest)) + 1e-300
-            row, size = row @ part.A_zero, size @ np.abs(part.A_zero)
-    eye = np.eye(len(parts[0].A)) * (1.0 if ch.dt else 0.0)
-    A, B, C = np.stack([p.A * step + eye for p in parts]), np.stack([p.B for p in parts]), np.stack([p.C for p in parts])
-    return Channels(ch.names, A, B, C, ch.H0, ch.dt), seen
-
-
 def _figures_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: Modes | None = None) -> Figures:
     """Figures of stable channels in the s plane (or the w plane of a loop sampled at ``dt``)."""
     found = resolvent(ch, modes)
@@ -249,82 +204,6 @@ def _figures_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: 
         peak, peak_at = np.where(sees_zero, np.inf, peak), np.where(sees_zero, 0.0, peak_at)
     figures = assembled(gain, phase, at_zero, ch.H0, lambda w: frequency(w, dt))
     return Figures(**figures, sensitivity_peak=np.maximum(peak, 1.0), peak_frequency=frequency(peak_at, dt))
-
-
-def frequency(w: Array, dt: float) -> Array:
-    """[rad/s] of a place on the axis: w itself, or 2 atan(w) / dt in the w plane of a sampled loop."""
-    return np.asarray(2 * np.arctan(w) / dt) if dt else w
-
-
-def dc_sensitivity(ch: Channels, zeros: NDArray[np.int64]) -> Array:
-    """S_i(0) - 1 (m, n), the ``zeros`` (m,) roots at zero taken out; NaN where a channel sees them after all."""
-    out = np.full(ch.H0.shape, np.nan)
-    for count in np.unique(zeros):
-        some = np.flatnonzero(zeros == count)
-        if not count:
-            out[some] = _at_zero(ch.at(some))
-            continue
-        clean, seen = _without_zeros(ch.at(some), int(count))
-        out[some] = np.where(seen, np.nan, _at_zero(clean))
-    return out
-
-
-def _at_zero(ch: Channels) -> Array:
-    """S_i(0) - 1 (m, n); -1 exactly where an integrator makes S vanish, 0 exactly where L does."""
-    try:
-        x = np.linalg.solve(ch.A, ch.B)
-    except np.linalg.LinAlgError:
-        x = np.linalg.pinv(ch.A) @ ch.B
-    terms = np.swapaxes(x, 1, 2) * ch.C
-    H, size = ch.H0 - terms.sum(axis=2), np.abs(terms).sum(axis=2) + np.abs(ch.H0)
-    H = np.where(np.abs(H + 1) < 1e-12 * (1 + size), -1.0, H)
-    return np.asarray(np.where(np.abs(H) < 1e-13 * size, 0.0, H))
-
-
-def assembled(gain: Crossings, phase: Crossings, at_zero: Array, at_infinity: Array, to_rads: Callable[[Array], Array]) -> dict[str, Array]:
-    """Gain interval, phase and delay margin (m, n) from crossings and from S - 1 at w = 0 and infinity (m, n), which are real.
-
-    ``to_rads`` turns a place on the axis into a frequency [rad/s] (``frequency``).
-    """
-    shape = at_zero.shape
-    increase, reduction = np.full(shape, np.inf), np.zeros(shape)
-    up_at, down_at = np.full(shape, np.inf), np.full(shape, np.inf)
-    for point, channel, H, w in (
-        (phase.point, phase.channel, phase.H.real, to_rads(phase.w)),
-        (*np.indices(shape).reshape(2, -1), at_zero.ravel(), np.zeros(at_zero.size)),
-        (*np.indices(shape).reshape(2, -1), at_infinity.ravel(), to_rads(np.full(at_zero.size, np.inf))),
-    ):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            factor = (1 + H) / H
-        factor = np.where((factor > 1 / FARTHEST) & (factor < FARTHEST), factor, np.nan)
-        _least(increase, up_at, point, channel, np.where(factor > 1, factor, np.nan), w)
-        _least(reduction, down_at, point, channel, np.where(factor <= 1, -factor, np.nan), w)
-    turn = np.angle(-gain.L)
-    lag = np.where(turn > 0, turn, turn + 2 * np.pi)
-    rads = to_rads(gain.w)
-    phase_deg, crossover = np.full(shape, np.inf), np.full(shape, np.inf)
-    delay, delay_at = np.full(shape, np.inf), np.full(shape, np.inf)
-    _least(phase_deg, crossover, gain.point, gain.channel, np.degrees(np.abs(turn)), rads)
-    _least(delay, delay_at, gain.point, gain.channel, lag / rads, rads)
-    return {
-        "gain_reduction": -reduction + 0.0,
-        "gain_increase": increase,
-        "reduction_frequency": down_at,
-        "increase_frequency": up_at,
-        "phase_deg": phase_deg,
-        "crossover": crossover,
-        "delay": delay,
-        "delay_frequency": delay_at,
-    }
-
-
-def _least(best: Array, best_at: Array, point: NDArray[np.int64], channel: NDArray[np.int64], value: Array, at: Array) -> None:
-    """best[point, channel] = the least of itself and the values (NaN: none), best_at where that is."""
-    some = np.isfinite(value)
-    order = np.argsort(-value[some], kind="stable")  # of several for one place the last written, the least, stays
-    p, c, v, w = point[some][order], channel[some][order], value[some][order], at[some][order]
-    better = v < best[p, c]
-    best[p[better], c[better]], best_at[p[better], c[better]] = v[better], w[better]
 
 
 def _worst_of(values: Array, largest: bool) -> float:

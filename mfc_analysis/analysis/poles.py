@@ -22,17 +22,6 @@ UNDAMPED = 1e-10  #: a root whose real part is below this part of its modulus co
 
 
 @dataclass(frozen=True, eq=False)
-class Stability:
-    """The verdict at m points, dead time included."""
-
-    stable: Bools  #: (m,) every root that is not neutral lies inside, nothing drifts, and there is more than neutral roots
-    neutral: NDArray[np.int64]  #: (m,) semisimple roots at zero (free positions)
-    drifts: Bools  #: (m,) a Jordan chain at zero: a position that slides, a speed that ramps
-    nonzero_stable: Bools  #: (m,) the roots that are not at zero all lie inside: what margins and searches judge
-    idle: NDArray[np.int64]  #: (m,) integrals that act on nothing, left out of the verdict
-
-
-@dataclass(frozen=True, eq=False)
 class Spectrum:
     """Poles at m points with which of them are at zero. Slowest first; dead time left out."""
 
@@ -106,24 +95,6 @@ def inside(poles: Complex, dt: float, fastest: Array | None = None) -> Bools:
     floor = 1e-13 if dt else 1e-14 * (np.abs(s).max(axis=-1, keepdims=True, initial=0.0) if fastest is None else fastest[..., None])
     with np.errstate(invalid="ignore"):
         return np.asarray((s.real < -UNDAMPED * np.abs(s) - floor) | np.isneginf(s.real))
-
-
-def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
-    """Stable, neutral or drifting at each point, dead time included (definition: "Stable, neutral, drifting" of the guide).
-
-    Integrals that act on nothing are dropped first. ``known``: the spectrum, where it has been computed already.
-    """
-    known = spectrum(system) if known is None else known
-    roots = known.roots
-    if system.wire_delay.any() and not system.dt:
-        from mfc_analysis.analysis.delay import delay_stable
-
-        others = delay_stable(system)
-    else:
-        others = np.asarray((inside(known.poles, known.dt) | known.zero).all(axis=1))
-    more = system.nx > roots.count
-    stable = others & ~roots.drifts & more
-    return Stability(stable, roots.neutral, roots.drifts, others, roots.dropped)
 
 
 def pole_table(system: OpenSystem, index: int) -> tuple[Pole, ...]:

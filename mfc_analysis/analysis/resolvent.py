@@ -70,7 +70,6 @@ class Resolvent:
             slope[k : k + step] = -1j * (row * y[:, :, 0]).sum(axis=1)
         return H, slope
 
-
     def some(self, index: Ints) -> Resolvent:
         """The same at some of the points."""
         return Resolvent(self.ch.at(index), self.poles[index], self.residues[index], self.modal[index])

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.analysis.poles import Spectrum, rates, spectrum, stability
+from mfc_analysis.analysis.delay import delay_roots
+from mfc_analysis.analysis.delayed_steps import delayed_runner
+from mfc_analysis.analysis.poles import Spectrum, rates, spectrum
+from mfc_analysis.analysis.stability import stability
+from mfc_analysis.analysis.step_run import Run
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.analysis.zero_roots import without_zero_roots
 from mfc_analysis.errors import BadArgument, UnknownName
@@ -64,16 +68,6 @@ class Step:
     __repr__ = __str__
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """A sampled response that is known between its samples as well."""
-
-    t: Array  #: (k,) [s]
-    y: Array  #: (k,)
-    slope: Array  #: (k,) [1/s]
-    between: Callable[[int, float], tuple[float, float]]  #: (k, d): y and its slope at t[k] + d
-
-
 def step(system: OpenSystem, index: int, input: str | int, output: str | int, duration: float | None = None) -> Step:
     """Unit step of ``input`` at ``output``, of the closed loop at point ``index``, dead time included.
 
@@ -90,9 +84,7 @@ def step(system: OpenSystem, index: int, input: str | int, output: str | int, du
     verdict = stability(one, known)
     outcome, steady = _end(one, into, out, bool(verdict.nonzero_stable[0]), known)
     first = None
-    if one.wire_delay.any() and not one.dt:
-        from mfc_analysis.analysis.delayed_steps import first_duration
-
+    if one.delayed:
         first = first_duration(one, into, out)
     run = _settled_run(run_for, known, steady if outcome is Outcome.SETTLES else None, one.dt, first)
     figures = _figures(run, steady, one.dt) if outcome is Outcome.SETTLES else dict.fromkeys(FIGURES, np.nan)
@@ -141,9 +133,7 @@ def _end(system: OpenSystem, into: int, out: int, others_decay: bool, known: Spe
 
 
 def _runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], Run]:
-    if system.wire_delay.any() and not system.dt:
-        from mfc_analysis.analysis.delayed_steps import delayed_runner
-
+    if system.delayed:
         return delayed_runner(system, into, out)
     A, B, C, D = (x[0] for x in close_wires(system))
     b, c, d = B[:, [into]], C[out], float(D[out, into])
@@ -186,6 +176,14 @@ def _samples(duration: float, known: Spectrum, dt: float) -> int:
         return max(1, round(duration / dt))
     turns = duration * np.abs(known.poles.imag).max(initial=0.0) / (2 * np.pi)
     return int(np.clip(16 * turns, SAMPLES, 20 * SAMPLES))
+
+
+def first_duration(system: OpenSystem, into: int, out: int) -> float:
+    """[s] to begin with: that of the loop without its dead time, no less than a few dead times, and long enough to see growth."""
+    free = delay_free_duration(replace(system, wire_delay=np.zeros_like(system.wire_delay)), into, out)
+    enough = max(free, 10 * float(system.wire_delay.max()))
+    growth = float(delay_roots(system, 1)[0, 0].real)
+    return max(enough, min(3 / growth, 20 * enough)) if growth > 0 else enough
 
 
 def delay_free_duration(system: OpenSystem, into: int, out: int) -> float:

@@ -65,6 +65,11 @@ class OpenSystem:
         """Number of wires."""
         return len(self.wire_names)
 
+    @property
+    def delayed(self) -> bool:
+        """True where dead time is outside the matrices: infinitely many roots."""
+        return bool(self.wire_delay.any()) and not self.dt
+
     def at(self, index: slice | Array) -> OpenSystem:
         """The same system at some of its points."""
         behind = None if self.continuous is None else self.continuous.at(index)

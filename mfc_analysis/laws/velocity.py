@@ -33,7 +33,7 @@ class VelocityFeedforward(_JointVelocity):
     """
 
     equation = "9.1"
-    typst = 'u = dot(q)_d'
+    typst = "u = dot(q)_d"
     kp = ki = None
 
     def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
@@ -54,7 +54,7 @@ class VelocityP(_JointVelocity):
 
     kp: Gain | ArrayLike
     equation = "9.2"
-    typst = 'u = K_p e'
+    typst = "u = K_p e"
     units = {"kp": "1/s"}
 
     def __post_init__(self) -> None:
@@ -83,7 +83,7 @@ class VelocityPI(_JointVelocity):
     form: Literal["standard", "printed"] = "standard"
     equation = "9.3"
     forms = ("standard", "printed")
-    typst = 'u = K_p e + K_i integral e dif t'
+    typst = "u = K_p e + K_i integral e dif t"
     units = {"kp": "1/s", "ki": "1/s^2"}
 
     def __post_init__(self) -> None:
@@ -110,7 +110,7 @@ class VelocityFeedforwardPI(_JointVelocity):
     kp: Gain | ArrayLike
     ki: Gain | ArrayLike | None = None
     equation = "9.4"
-    typst = 'u = dot(q)_d + K_p e + K_i integral e dif t'
+    typst = "u = dot(q)_d + K_p e + K_i integral e dif t"
     units = {"kp": "1/s", "ki": "1/s^2"}
 
     def __post_init__(self) -> None:

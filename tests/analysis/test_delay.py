@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.special import lambertw
 
 from mfc_analysis.analysis.delay import delay_roots, delay_stable
-from mfc_analysis.analysis.poles import stability
+from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, Unsupported
 from tests.analysis.conftest import open_system, random_loops

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from mfc_analysis.analysis.frequency import frequency_response
 from mfc_analysis.analysis.margins import margins
-from mfc_analysis.analysis.poles import stability
+from mfc_analysis.analysis.stability import stability
 from tests.analysis.conftest import open_system, random_loops, scaled
 
 s = control.tf("s")

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mfc_analysis.analysis.margins import Margins, margins
-from mfc_analysis.analysis.poles import stability
+from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import UnknownPoint
 from tests.analysis.conftest import open_system, random_loops, scaled

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mfc_analysis.analysis.poles import pole_table, poles, spectrum, stability
+from mfc_analysis.analysis.poles import pole_table, poles, spectrum
+from mfc_analysis.analysis.stability import stability
 from tests.analysis.conftest import from_matrix, open_system
 
 
@@ -126,7 +127,11 @@ def test_the_table_gives_frequency_damping_and_time_constant():
     assert_allclose([z[0].frequency, z[0].time_constant], [2.0, 0.5], rtol=1e-12)
     assert z[1].time_constant == 0
     assert [p.kind for p in pole_table(from_matrix(np.array([[0, 2.0, 0, 0], [-2, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]])), 0)] == [
-        "zero", "undamped", "undamped", "unstable"]
+        "zero",
+        "undamped",
+        "undamped",
+        "unstable",
+    ]
 
 
 def test_points_are_judged_one_by_one():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mfc_analysis.analysis.poles import stability
+from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.steps import Outcome, step
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.errors import BadArgument, UnknownName

@@ -81,9 +81,7 @@ def test_on_a_redundant_arm_the_whole_of_h_is_compensated(name: str) -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(kp=st.floats(10, 300), kd=st.floats(3, 40), k=st.floats(500, 2e4), kfp=st.floats(0, 4), kfi=st.floats(0.1, 5), kdamp=st.floats(1, 300))
-def test_motion_and_force_are_two_loops_that_do_not_disturb_each_other(
-    kp: float, kd: float, k: float, kfp: float, kfi: float, kdamp: float
-) -> None:
+def test_motion_and_force_are_two_loops_that_do_not_disturb_each_other(kp: float, kd: float, k: float, kfp: float, kfi: float, kdamp: float) -> None:
     """Exact model, constraint and wall along the tool's z: five copies of s^2 + kd s + kp, and the one-mass force loop with 1/(A Lambda^-1 A^T).
 
     Without preload: a force that is there turns with the tool, and so couples the two.

@@ -85,6 +85,7 @@ def test_the_rate_of_the_logarithm_is_differentiated_as_well(angle: float) -> No
     dV *= 0.1
     found, h = se3.log_rate(Dual(V, dV), Dual(W, dW)), 1e-4
     for k in range(3):
+
         def f(s: float, k: int = k) -> np.ndarray:
             return se3.log_rate(V + s * dV[:, k], W + s * dW[:, k])
 

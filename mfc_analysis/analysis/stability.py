@@ -1,0 +1,39 @@
+"""The verdict: stable, neutral, drifting; dead time exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.delay import delay_stable
+from mfc_analysis.analysis.poles import Spectrum, inside, spectrum
+from mfc_analysis.analysis.system import OpenSystem
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Stability:
+    """The verdict at m points, dead time included."""
+
+    stable: Bools  #: (m,) every root that is not neutral lies inside, nothing drifts, and there is more than neutral roots
+    neutral: NDArray[np.int64]  #: (m,) semisimple roots at zero (free positions)
+    drifts: Bools  #: (m,) a Jordan chain at zero: a position that slides, a speed that ramps
+    nonzero_stable: Bools  #: (m,) the roots that are not at zero all lie inside: what margins and searches judge
+    idle: NDArray[np.int64]  #: (m,) integrals that act on nothing, left out of the verdict
+
+
+def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
+    """Stable, neutral or drifting at each point, dead time included (definition: "Stable, neutral, drifting" of the guide).
+
+    Integrals that act on nothing are dropped first. ``known``: the spectrum, where it has been computed already.
+    """
+    known = spectrum(system) if known is None else known
+    roots = known.roots
+    others = delay_stable(system) if system.delayed else np.asarray((inside(known.poles, known.dt) | known.zero).all(axis=1))
+    more = system.nx > roots.count
+    stable = others & ~roots.drifts & more
+    return Stability(stable, roots.neutral, roots.drifts, others, roots.dropped)

@@ -1,0 +1,21 @@
+"""A sampled response that is known between its samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A sampled response that is known between its samples as well."""
+
+    t: Array  #: (k,) [s]
+    y: Array  #: (k,)
+    slope: Array  #: (k,) [1/s]
+    between: Callable[[int, float], tuple[float, float]]  #: (k, d): y and its slope at t[k] + d

@@ -1,0 +1,15 @@
+"""What is wrong with a study file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mfc_analysis.errors import MfcError
+
+
+class StudyError(MfcError, ValueError):
+    """A study file that cannot be used: names the file, the key, what it got and what is allowed."""
+
+    def __init__(self, file: str, key: str, problem: str, allowed: Sequence[str] = ()) -> None:
+        self.file, self.key, self.problem, self.allowed = file, key, problem, tuple(allowed)
+        super().__init__(f"{file}: {key}: {problem}" if key else f"{file}: {problem}")
