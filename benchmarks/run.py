@@ -154,7 +154,7 @@ def linearising() -> None:
     A = loop.linearize(times).A
     assert np.abs(A - floor()).max() <= 1e-9 * np.abs(A).max()
     lin = loop.linearize(times)
-    from mfc_analysis.jacobians import closed_matrix
+    from mfc_analysis.dynamics.jacobians import closed_matrix
 
     x = lin.point.x
     row(
@@ -242,7 +242,7 @@ def task_space() -> None:
     X0 = robot.pose(Q0)
     path = mfc.trajectories.ToolSinusoid(X0, [0.05, 0.0, 0.05], 1.5)
     times = np.linspace(0.0, 4.0, 1000)
-    from mfc_analysis.jacobians import closed_matrix
+    from mfc_analysis.dynamics.jacobians import closed_matrix
 
     task = mfc.ClosedLoop(robot.with_payload(2.0), mfc.laws.TaskComputedTorque(100, 80, 20), path, controller_model=robot, q_start=Q0)
     x = task.linearize(times).point.x
@@ -271,7 +271,7 @@ def robustness() -> None:
     """Disk margins and Floquet."""
     from scipy.linalg import expm
 
-    from mfc_analysis.jacobians import closed_matrix
+    from mfc_analysis.dynamics.jacobians import closed_matrix
 
     loop = wrong_model_loop()
     lin = loop.linearize(np.linspace(0.0, 4.0, 8))
@@ -297,7 +297,7 @@ def robustness() -> None:
         for k in range(80):
             expm(A[2 * k] * T / 80)
 
-    from mfc_analysis.time_varying import transitions_along
+    from mfc_analysis.simulation.orbit import transitions_along
 
     run = loop.simulate([0.0, T], rtol=1e-8)
     row(

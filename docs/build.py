@@ -222,7 +222,7 @@ def _prepared() -> Path:
     """A folder with what every working folder starts with."""
     if not _made:
         from mfc_analysis.robots.catalogue import ur5_urdf
-        from mfc_analysis.study_init import write
+        from mfc_analysis.study.init import write
 
         _made.append(tempfile.TemporaryDirectory())
         folder = Path(_made[0].name)

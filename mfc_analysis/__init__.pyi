@@ -1,49 +1,27 @@
-import mfc_analysis.analysis as analysis
-import mfc_analysis.design as design
-import mfc_analysis.errors as errors
-import mfc_analysis.gains as gains
-import mfc_analysis.laws as laws
-import mfc_analysis.laws.constraints as constraints
-import mfc_analysis.plots as plots
-import mfc_analysis.report as report
-import mfc_analysis.robots as robots
-import mfc_analysis.testing as testing
-import mfc_analysis.trajectories as trajectories
-from mfc_analysis.environment import Environment as Environment
-from mfc_analysis.hardware import Hardware as Hardware
-from mfc_analysis.laws.constraints import ConstraintSet as ConstraintSet
-from mfc_analysis.linearization import Linearization as Linearization
-from mfc_analysis.loop import ClosedLoop as ClosedLoop
-from mfc_analysis.requirements import Requirements as Requirements
-from mfc_analysis.requirements import Verdict as Verdict
-from mfc_analysis.robots.robot import Robot as Robot
-from mfc_analysis.simulation import Simulation as Simulation
-from mfc_analysis.sweeps import sweep as sweep
-from mfc_analysis.units import hertz as hertz
-
-__all__ = [
-    "ClosedLoop",
-    "ConstraintSet",
-    "Environment",
-    "Hardware",
-    "Linearization",
-    "Requirements",
-    "Robot",
-    "Simulation",
-    "Verdict",
-    "analysis",
-    "constraints",
-    "design",
-    "errors",
-    "gains",
-    "hertz",
-    "laws",
-    "plots",
-    "report",
-    "robots",
-    "sweep",
-    "testing",
-    "trajectories",
-]
+from . import (
+    analysis as analysis,
+    design as design,
+    errors as errors,
+    gains as gains,
+    laws as laws,
+    plots as plots,
+    report as report,
+    requirements as requirements,
+    robots as robots,
+    simulation as simulation,
+    study as study,
+    testing as testing,
+    trajectories as trajectories,
+)
+from .design import sweep as sweep
+from .dynamics import Environment as Environment, Hardware as Hardware
+from .laws import constraints as constraints
+from .laws.constraints import ConstraintSet as ConstraintSet
+from .linearization import Linearization as Linearization
+from .loop import ClosedLoop as ClosedLoop
+from .requirements import Requirements as Requirements, Verdict as Verdict
+from .robots import Robot as Robot
+from .simulation import Simulation as Simulation
+from .units import hertz as hertz
 
 __version__: str

@@ -22,10 +22,9 @@ from mfc_analysis.errors import BadArgument, NotConverged
 from mfc_analysis.maths import checks
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from mfc_analysis.loop import ClosedLoop
-    from mfc_analysis.simulation import Simulation
+    from mfc_analysis.plots.figure import Axes
+    from mfc_analysis.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
 

@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfc_analysis.environment import Environment
-from mfc_analysis.equations import Equations, refuse_what_does_not_apply
+from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.dynamics.equations import Equations, refuse_what_does_not_apply
+from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.dynamics.jacobians import Coordinates
+from mfc_analysis.dynamics.operating_point import Nominal, at_rest, nominal
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.hardware import Hardware
-from mfc_analysis.jacobians import Coordinates
 from mfc_analysis.laws.law import Law
-from mfc_analysis.linearization import About, Linearization, linearize
+from mfc_analysis.linearization.linearization import About, Linearization, linearize
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import value
-from mfc_analysis.operating_point import Nominal, at_rest, nominal
 from mfc_analysis.robots.robot import Robot
 
 if TYPE_CHECKING:
-    from mfc_analysis.quasi_static import QuasiStatic
-    from mfc_analysis.simulation import Simulation
-    from mfc_analysis.time_varying import Floquet
-    from mfc_analysis.validation import Validation
+    from mfc_analysis.dynamics.quasi_static import QuasiStatic
+    from mfc_analysis.simulation.orbit import Floquet
+    from mfc_analysis.simulation.simulation import Simulation
+    from mfc_analysis.simulation.validation import Validation
 
 Array = NDArray[np.float64]
 
@@ -140,7 +140,7 @@ class ClosedLoop:
 
     def quasi_static(self) -> QuasiStatic:
         """Equation 9.20's model of the same loop: g + J^T F_tip = tau. ``.force`` (6,), ``.error`` = F_d - F_tip (6,)."""
-        from mfc_analysis.quasi_static import quasi_static
+        from mfc_analysis.dynamics.quasi_static import quasi_static
 
         return quasi_static(self.equations)
 
@@ -172,7 +172,7 @@ class ClosedLoop:
 
     def floquet(self, period: float | None = None) -> Floquet:
         """Floquet multipliers on the true periodic orbit of the closed loop. Raises BadArgument without a period, NotConverged."""
-        from mfc_analysis.time_varying import floquet
+        from mfc_analysis.simulation.orbit import floquet
 
         return floquet(self.equations, period)
 
@@ -206,8 +206,8 @@ class ClosedLoop:
 
         A run that diverges stops, keeps what it has and says when (``diverged``, ``outcome``).
         """
-        from mfc_analysis.simulation import simulate
-        from mfc_analysis.start_state import start_state
+        from mfc_analysis.dynamics.start_state import start_state
+        from mfc_analysis.simulation.simulation import simulate
 
         if x is None:
             given = checks.at_least_1d("times", times)
@@ -219,7 +219,7 @@ class ClosedLoop:
 
     def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
         """Linear prediction against nonlinear simulation over ``time`` [s] from the operating point disturbed by ``size`` [rad, m]."""
-        from mfc_analysis.validation import validate
+        from mfc_analysis.simulation.validation import validate
 
         return validate(self.equations, time, size, seed)
 

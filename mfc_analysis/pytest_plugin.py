@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
+    from mfc_analysis.report.verification import Record
     from mfc_analysis.testing import Asserted
-    from mfc_analysis.verification import Record
 
 KEY = "mfc_records"  #: of xdist's ``workeroutput``
 FORMATS = "html,pdf,json"
@@ -67,7 +67,7 @@ class Collector:
 
     def add(self, asserted: Asserted) -> None:
         """Records one assertion."""
-        from mfc_analysis.verification import record
+        from mfc_analysis.report.verification import record
 
         number = sum(r.test == self.test for r in self.records)
         self.records.append(record(asserted, self.test, number))
@@ -107,7 +107,7 @@ class Collector:
             self.config.workeroutput[KEY] = pickle.dumps(self.records)  # type: ignore[attr-defined]
         elif self.records or self.lost:
             from mfc_analysis.report import render
-            from mfc_analysis.verification import verification_document, with_outcomes
+            from mfc_analysis.report.verification import verification_document, with_outcomes
 
             document = verification_document(with_outcomes(self.records, self.outcomes), self.lost, "pytest --mfc-report=DIR")
             self.written = render(document, self.folder, self.formats)

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
-from mfc_analysis.replay import replay
-from mfc_analysis.requirements import Line, Requirements, Status, Verdict
+from mfc_analysis.requirements.replay import replay
+from mfc_analysis.requirements.requirements import Line, Requirements, Status, Verdict
 
 if TYPE_CHECKING:
-    from mfc_analysis.validation import Validation
+    from mfc_analysis.simulation.validation import Validation
 
 __all__ = ["Asserted", "assert_margins", "assert_requirements", "assert_stable", "assert_validated", "observed"]
 

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from mfc_analysis import laws as L
-from mfc_analysis import robots
-from mfc_analysis.environment import Environment
+from mfc_analysis import laws as L, robots
+from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.laws.law import Law
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import exp6

@@ -13,8 +13,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mfc_analysis import exercises
+from mfc_analysis.cli.exercise import QUESTIONS, answered
 from mfc_analysis.errors import BadArgument, UnknownName
-from mfc_analysis.exercise_command import QUESTIONS, answered
 
 
 def test_the_poles_are_those_of_the_closed_form_of_9_8():

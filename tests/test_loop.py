@@ -9,11 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
-from mfc_analysis import laws as L
-from mfc_analysis import robots
-from mfc_analysis.environment import Environment
+from mfc_analysis import laws as L, robots
+from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument, MfcWarning, Unsupported
-from mfc_analysis.hardware import Hardware
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.trajectories import Hold, Quintic, Sinusoid, ToolHold, ToolLine
 from tests.conftest import LAWS, Case, arm, loop_of, moving, plant, regular_pose

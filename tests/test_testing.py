@@ -10,7 +10,7 @@ import pytest
 import mfc_analysis as mfc
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.testing import assert_margins, assert_requirements, assert_stable, assert_validated, observed
-from tests.test_requirements import KNOWN, hold, second_order, triple_pole, velocity_p
+from tests.requirements.test_requirements import KNOWN, hold, second_order, triple_pole, velocity_p
 
 
 @pytest.fixture

@@ -21,10 +21,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mfc_analysis.analysis.frequency.peak import frequencies_of_interest
+from mfc_analysis.analysis.frequency.sensitivity import Opened, opened, sensitivity, sensitivity_at_infinity
 from mfc_analysis.analysis.mu import has_slycot, largest_bound, lower_bound
-from mfc_analysis.analysis.peak import frequencies_of_interest
-from mfc_analysis.analysis.poles import rates, spectrum
-from mfc_analysis.analysis.sensitivity import Opened, opened, sensitivity, sensitivity_at_infinity
+from mfc_analysis.analysis.spectrum import rates, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument

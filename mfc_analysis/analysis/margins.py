@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, continuous
-from mfc_analysis.analysis.crossings import crossings
-from mfc_analysis.analysis.delay_margins import delayed_figures
-from mfc_analysis.analysis.margin_figures import Figures, _at_zero, _put, _without_zeros, assembled, frequency
-from mfc_analysis.analysis.peak import frequencies_of_interest, sensitivity_peak, thinned
-from mfc_analysis.analysis.poles import Spectrum, spectrum
-from mfc_analysis.analysis.resolvent import resolvent
+from mfc_analysis.analysis.delay.margins import delayed_figures
+from mfc_analysis.analysis.frequency.crossings import crossings
+from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, sensitivity_peak, thinned
+from mfc_analysis.analysis.frequency.resolvent import resolvent
+from mfc_analysis.analysis.margin_metrics import Figures, assembled, channels_without_zeros, frequency, put, sensitivity_at_zero
+from mfc_analysis.analysis.spectrum import Spectrum, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 
@@ -173,17 +173,17 @@ def _figures(ch: Channels, judged: Bools, known: Spectrum, modes: Modes) -> Figu
         poles = modes[0][plain]
         if ch.dt:
             poles = (poles - 1) / (poles + 1)
-        _put(figures, plain, _figures_of(continuous(ch.at(plain)), ch.dt, modes=(poles, modes[1][plain])))
+        put(figures, plain, _figures_of(continuous(ch.at(plain)), ch.dt, modes=(poles, modes[1][plain])))
     for count in np.unique(known.roots.count[judged & (known.roots.count > 0)]):
         some = np.flatnonzero(judged & (known.roots.count == count))
-        clean, seen = _without_zeros(ch.at(some), int(count))
+        clean, seen = channels_without_zeros(ch.at(some), int(count))
         found = _figures_of(continuous(clean), ch.dt)
         if seen.any():
             hit = seen.any(axis=1)
             with_zero = _figures_of(continuous(ch.at(some[hit])), ch.dt, sees_zero=seen[hit])
             for name, values in vars(found).items():
                 values[seen] = getattr(with_zero, name)[seen[hit]]
-        _put(figures, some, found)
+        put(figures, some, found)
     return figures
 
 
@@ -194,7 +194,7 @@ def _figures_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: 
     if not found.modal.any():  # each of them costs a solution
         w = thinned(w, found.poles)
     H = found.on(w)
-    at_zero = _at_zero(ch)
+    at_zero = sensitivity_at_zero(ch)
     if sees_zero is not None:
         at_zero = np.where(sees_zero, np.nan, at_zero)
     from_zero = np.concatenate([at_zero.astype(np.complex128)[:, :, None], H], axis=2)

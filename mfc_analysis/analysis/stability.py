@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.analysis.delay import delay_stable
-from mfc_analysis.analysis.poles import Spectrum, inside, spectrum
-from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.analysis.delay.roots import delay_roots, delay_stable
+from mfc_analysis.analysis.spectrum import Spectrum, inside, spectrum
+from mfc_analysis.analysis.system import OpenSystem, without_idle
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -37,3 +37,13 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
     more = system.nx > roots.count
     stable = others & ~roots.drifts & more
     return Stability(stable, roots.neutral, roots.drifts, others, roots.dropped)
+
+
+def growth(system: OpenSystem) -> Array:
+    """(m,) [1/s] largest real part of the closed loop's roots that are not at zero (z = 1), dead time included."""
+    system = without_idle(system)
+    found = spectrum(system)
+    if system.delayed:
+        roots = delay_roots(system, int(found.roots.count.max(initial=0)) + 2)
+        return np.asarray(np.where(roots == 0, -np.inf, roots.real).max(axis=1))
+    return np.asarray(np.where(found.zero, -np.inf, found.rates.real).max(axis=1))

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.analysis.delay import delay_roots
-from mfc_analysis.analysis.delayed_steps import delayed_runner
-from mfc_analysis.analysis.poles import Spectrum, rates, spectrum
+from mfc_analysis.analysis.delay.roots import delay_roots
+from mfc_analysis.analysis.delay.steps import delayed_runner
+from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.step_run import Run
 from mfc_analysis.analysis.system import OpenSystem, close_wires

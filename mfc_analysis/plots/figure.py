@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from mfc_analysis.errors import UnknownName
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.axes import Axes as Axes
     from matplotlib.figure import Figure
 
 JOINTS = ("#0072b2", "#c44e00", "#00795a", "#9b3f84", "#7a6200", "#5a4fcf", "#8a5a44", "#3b6470")  #: a joint's colour, on every page

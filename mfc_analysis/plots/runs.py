@@ -118,7 +118,11 @@ def curves(
     title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Curves of one quantity over a parameter, e.g. a margin over stiffness. ``log``: "x", "y" or "xy"."""
+    """Curves of one quantity over a parameter, e.g. a margin over stiffness.
+
+    Args:
+        x: (k,); series: name and values (k,) of each curve. log: "x", "y" or "xy". limit: a value drawn as a line.
+    """
     ax = ax if ax is not None else sheet.axes_for("map")
     at = np.asarray(x, float)
     for j, (name, y) in enumerate(series):

@@ -1,6 +1,5 @@
-"""Reports: a neutral document (``section``) rendered as HTML, PDF and JSON (``write``)."""
+"""Reports: one document, rendered as HTML, PDF and JSON."""
 
-from mfc_analysis.report.loop_report import write
-from mfc_analysis.report.write import render, rendered
+import lazy_loader
 
-__all__ = ["render", "rendered", "write"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

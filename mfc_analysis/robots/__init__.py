@@ -1,6 +1,5 @@
 """Robots: the wrapper of Pinocchio and the catalogue. The only room that imports Pinocchio."""
 
-from mfc_analysis.robots.catalogue import load, names, planar_2r, rp, single_joint, slider, ur5
-from mfc_analysis.robots.robot import Limits, Payload, Robot
+import lazy_loader
 
-__all__ = ["Limits", "Payload", "Robot", "load", "names", "planar_2r", "rp", "single_joint", "slider", "ur5"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

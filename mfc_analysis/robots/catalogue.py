@@ -227,12 +227,13 @@ _ARMS: dict[str, _Entry] = {
     "z1": _Entry("z1_description/urdf/z1.urdf", "gripperStator", _numbered("joint{}", 6)),
 }
 _ALIASES = {"baxter": "baxter_right", "borinot": "borinot_arm", "hextilt": "hextilt_arm", "pr2": "pr2_right", "talos_arm": "talos_left_arm"}
-_EMBEDDED: dict[str, Callable[[], Robot]] = {"single_joint": single_joint, "slider": slider, "rp": rp, "planar_2r": planar_2r, "ur5": ur5}
+#: the robots that need no file, by name
+EMBEDDED: dict[str, Callable[..., Robot]] = {"single_joint": single_joint, "slider": slider, "rp": rp, "planar_2r": planar_2r, "ur5": ur5}
 
 
 def names() -> tuple[str, ...]:
     """Names that :func:`load` takes: the embedded robots and the arms of example-robot-data, whether or not that is installed."""
-    return tuple(sorted({*_EMBEDDED, *_ARMS}))
+    return tuple(sorted({*EMBEDDED, *_ARMS}))
 
 
 def load(name: str, tool: str | None = None, locked: Locked = None) -> Robot:
@@ -249,7 +250,7 @@ def load(name: str, tool: str | None = None, locked: Locked = None) -> Robot:
     if not isinstance(name, str) or name not in names():
         raise UnknownName("name", name, names())
     if name not in _ARMS:
-        robot = _EMBEDDED[name]()
+        robot = EMBEDDED[name]()
         return robot if tool is None and not locked else _changed(robot, tool, locked)
     entry = _ARMS[name]
     path = _data_folder(name) / entry.path
@@ -260,6 +261,15 @@ def load(name: str, tool: str | None = None, locked: Locked = None) -> Robot:
         locked = [joint for joint in moving_joints(text) if joint not in entry.moving]
     robot = Robot.from_urdf(text, tool=tool or entry.tool, locked=locked)
     return replace(robot, name=name)
+
+
+def robot_named(name: str, tool: str | None = None) -> Robot:
+    """The robot of a URDF file, or the embedded or loadable one of a name. Raises UnknownName, BadRobot, BadArgument."""
+    if Path(name).suffix or Path(name).exists():
+        return Robot.from_urdf(Path(name), tool=tool)
+    if name in EMBEDDED and tool is None:
+        return EMBEDDED[name]()
+    return load(name, tool)
 
 
 def _changed(robot: Robot, tool: str | None, locked: Locked) -> Robot:

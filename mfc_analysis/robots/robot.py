@@ -166,6 +166,12 @@ class Robot:
         return tuple(by_index[int(i)] for i in self.order)
 
     @property
+    def joint_units(self) -> tuple[str, ...]:
+        """(n,) "rad" for a revolute or continuous joint, "m" for a prismatic one."""
+        kinds = ["m" if "JointModelP" in j.shortname() else "rad" for j in list(self.model.joints)[1:]]
+        return tuple(kinds[i] for i in self.order)
+
+    @property
     def limits(self) -> Limits:
         """Position, velocity and torque limits, in the order of ``q``; ``inf`` where there is none."""
         lower, upper = np.full(self.n, -np.inf), np.full(self.n, np.inf)

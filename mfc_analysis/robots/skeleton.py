@@ -25,9 +25,3 @@ def skeleton(robot: Robot, q: ArrayLike) -> Array:
             out[i][j] = data.oMi[j].translation
         out[i][-1] = pin.updateFramePlacement(robot.model, data, robot.frame_id).translation
     return out
-
-
-def joint_units(robot: Robot) -> tuple[str, ...]:
-    """(n,) "rad" for a revolute or continuous joint, "m" for a prismatic one, in the user's joint order."""
-    kinds = ["m" if "JointModelP" in j.shortname() else "rad" for j in list(robot.model.joints)[1:]]
-    return tuple(kinds[i] for i in robot.order)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from mfc_analysis.analysis import mu as mu_room
 from mfc_analysis.analysis.disk import Bound, disk_margin, singular_values
-from mfc_analysis.analysis.sensitivity import opened, sensitivity, sensitivity_at_infinity
+from mfc_analysis.analysis.frequency.sensitivity import opened, sensitivity, sensitivity_at_infinity
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, UnknownPoint
 

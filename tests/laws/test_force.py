@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from numpy.testing import assert_allclose
 
-from mfc_analysis import laws as L
-from mfc_analysis import robots
-from mfc_analysis.environment import Environment
+from mfc_analysis import laws as L, robots
+from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument, NotConverged
-from mfc_analysis.hardware import Hardware
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.trajectories import Hold, Sinusoid
 from tests.conftest import F_D, arm, plant, regular_pose

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 
 from mfc_analysis import laws as L
-from mfc_analysis.environment import Environment
+from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.constraints import peg_in_hole, projection, selection
 from mfc_analysis.laws.hybrid import HybridMotionForce

@@ -7,13 +7,11 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from mfc_analysis import laws as L
-from mfc_analysis import robots
+from mfc_analysis import laws as L, robots
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.trajectories import Hold, Quintic, Sinusoid

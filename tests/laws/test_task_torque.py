@@ -6,19 +6,18 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
 from mfc_analysis import laws as L
+from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.dynamics.jacobians import closed_matrix
+from mfc_analysis.dynamics.operating_point import trimmed
 from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
-from mfc_analysis.hardware import Hardware
-from mfc_analysis.jacobians import closed_matrix
 from mfc_analysis.laws.task_torque import TaskComputedTorque
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import ad, adjoint, exp6, inverse, log6
-from mfc_analysis.operating_point import trimmed
 from mfc_analysis.trajectories import Hold, ToolHold, ToolLine, ToolSinusoid, from_tool_path
 from tests.conftest import ARMS, SIX, arm, full, moving, plant, regular_pose, seed
 

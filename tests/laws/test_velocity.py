@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 
-from mfc_analysis import laws as L
-from mfc_analysis import robots
+from mfc_analysis import laws as L, robots
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import ad, exp6
 from mfc_analysis.trajectories import Hold, Sinusoid, ToolHold, ToolSinusoid

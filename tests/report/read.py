@@ -7,14 +7,14 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-from mfc_analysis.report.section import Document
-from mfc_analysis.report.write import rendered
+from mfc_analysis.report.document.document import Document
+from mfc_analysis.report.render.write import rendered
 
 
 @cache
 def told(module: str) -> dict[str, Any]:
     """The sections of ``report/sections/<module>.py`` by key, those within included."""
-    found = import_module(f"mfc_analysis.report.sections.{module}").sections()
+    found = import_module(f"mfc_analysis.report.chapter.{module}").sections()
     data = json.loads(rendered(Document("Sections", "for a test", found, "sections"), ("json",))["json"])
     return dict(flat(data["sections"]))
 

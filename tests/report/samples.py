@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from mfc_analysis import plots
-from mfc_analysis.report.section import (
+from mfc_analysis.report.document.document import (
     Callout,
     Check,
     Column,

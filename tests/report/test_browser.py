@@ -11,7 +11,7 @@ import subprocess
 
 import pytest
 
-from mfc_analysis.report.write import rendered
+from mfc_analysis.report.render.write import rendered
 from tests.report import samples
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -14,8 +14,7 @@ import warnings
 from collections.abc import Callable
 
 import numpy as np
-from hypothesis import HealthCheck, Phase, given, seed, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, Phase, given, seed, settings, strategies as st
 
 import mfc_analysis as mfc
 from mfc_analysis.errors import MfcError

@@ -1,0 +1,6 @@
+from .disk import DiskMargin as DiskMargin
+from .floquet import Floquet as Floquet, TransientGrowth as TransientGrowth
+from .margins import Margins as Margins, Worst as Worst
+from .spectrum import Pole as Pole
+from .stability import Stability as Stability
+from .steps import Step as Step

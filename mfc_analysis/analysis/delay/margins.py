@@ -1,0 +1,246 @@
+"""Margins of loops with dead time, exact: e^(-jwT) on every delayed wire, nothing approximated by polynomials.
+
+With W(s) = (I - G(s))^-1 the closed loop without dead time, from behind each cut to behind each cut (G: all wires cut), and
+E = diag(e^(-s T)), the sensitivities of the loop with dead time are
+
+    (I - E G)^-1 = W [(I - E) W + E]^-1,        S_i = e_i W [(I - E) W + E]^-1 p_i,
+
+p_i = e_i (at "position": e_q + s e_v). There are infinitely many crossings. They are bracketed on frequencies that resolve
+the open and closed poles, the rightmost roots of the loop with dead time, and the turning of e^(-jwT); then polished. The
+search goes on in frequency until no higher crossing can bind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
+from mfc_analysis.analysis.delay.roots import Delayed, delayed_points, rightmost
+from mfc_analysis.analysis.frequency.crossings import Crossings
+from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
+from mfc_analysis.analysis.frequency.resolvent import CONDITION
+from mfc_analysis.analysis.margin_metrics import FARTHEST, Figures, assembled, dc_sensitivity
+from mfc_analysis.analysis.spectrum import Spectrum
+from mfc_analysis.analysis.system import OpenSystem
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+
+MOST = 40_000  #: frequencies of one point
+TURN = 0.2  #: [rad] of e^(-jwT) between two frequencies
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """One point, ready to be evaluated: W(s) = M + C (sI - A)^-1 B of the wires that matter."""
+
+    A: Array
+    B: Array
+    C: Array
+    M: Array
+    T: Array  #: (k,) [s] of these wires
+    rows: Ints  #: (n,) which of them the channels are
+    rates: Ints | None  #: (n,) which carry their rates
+    modes: tuple[Complex, Complex, Complex] | None  #: poles, C V, V^-1 B where these can be trusted
+
+    def H(self, w: Array) -> Complex:
+        """S_i - 1 of all channels, (n, k), at w (k,) [rad/s]."""
+        W, matrix = self._loop(w)
+        n = self.rows.size
+        inject = np.zeros((w.size, len(self.T), n), np.complex128)
+        inject[:, self.rows, np.arange(n)] = 1
+        if self.rates is not None:
+            inject[:, self.rates, np.arange(n)] = 1j * w[:, None]
+        X = np.linalg.solve(matrix, inject)
+        return np.asarray(np.einsum("wnk,wkn->nw", W[:, self.rows], X) - 1)
+
+    def one(self, channel: Ints, w: Array) -> Complex:
+        """S_i - 1 (k,) of one channel (k,) each at w (k,) [rad/s]."""
+        W, matrix = self._loop(w)
+        each = np.arange(w.size)
+        inject = np.zeros((w.size, len(self.T), 1), np.complex128)
+        inject[each, self.rows[channel], 0] = 1
+        if self.rates is not None:
+            inject[each, self.rates[channel], 0] = 1j * w
+        X = np.linalg.solve(matrix, inject)
+        return np.asarray((W[each, self.rows[channel]] * X[:, :, 0]).sum(axis=1) - 1)
+
+    def _loop(self, w: Array) -> tuple[Complex, Complex]:
+        W = self._W(w)
+        E = np.exp(-1j * w[:, None] * self.T)[:, :, None]
+        return W, (1 - E) * W + E * np.eye(len(self.T))
+
+    def _W(self, w: Array) -> Complex:
+        if self.modes is not None:
+            poles, left, right = self.modes
+            return np.asarray((left / (1j * w[:, None, None] - poles)) @ right + self.M)
+        matrix = 1j * w[:, None, None] * np.eye(len(self.A)) - self.A
+        return np.asarray(self.C @ np.linalg.solve(matrix, np.broadcast_to(self.B.astype(complex), (w.size, *self.B.shape))) + self.M)
+
+
+def delayed_figures(system: OpenSystem, at: str, judged: NDArray[np.bool_], known: Spectrum) -> Figures:
+    """The figures of all channels of the point ``at``, dead time exact; NaN where not judged."""
+    ch = channels(system, at)
+    figures = Figures(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
+    some = np.asarray(np.flatnonzero(judged), np.int64)
+    if not some.size:
+        return figures
+    at_zero = dc_sensitivity(ch.at(some), known.roots.count[some])
+    cut = delayed_points(system)
+    for k, i in enumerate(some):
+        one = _point(system, at, int(i))
+        found = _figures(one, ch.at(np.array([i])), cut[i], at_zero[k : k + 1], known.poles[i][~known.zero[i]])
+        for name, values in vars(figures).items():
+            values[i] = found[name]
+    return figures
+
+
+def _point(system: OpenSystem, at: str, index: int) -> _Point:
+    nu, ny, nw = system.nu, system.ny, system.nw
+    wires = np.arange(nw)[point_wires(system, at)]
+    cut = [wires, np.arange(nw)[system.wires["rate"]]] if has_rate(system, at) else [wires]
+    matter = np.unique(np.concatenate([*cut, np.flatnonzero(system.wire_delay)]))
+    through = np.linalg.inv(np.eye(nw) - system.D[index][ny:, nu:])
+    into, out = system.B[index][:, nu:] @ through, through @ system.C[index][ny:]
+    A = system.A[index] + into @ system.C[index][ny:]
+    B, C = into[:, matter], out[matter]
+    poles, V = np.linalg.eig(A)
+    modes = None
+    if np.linalg.cond(V) < CONDITION:
+        modes = poles.astype(np.complex128), (C @ V).astype(np.complex128), np.linalg.solve(V, B.astype(complex))
+    where = [np.searchsorted(matter, c) for c in cut]
+    return _Point(A, B, C, through[np.ix_(matter, matter)], system.wire_delay[matter], where[0], where[1] if len(where) > 1 else None, modes)
+
+
+def _figures(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: Complex) -> dict[str, Array]:
+    roots = rightmost(cut, 12)
+    opened = [np.linalg.eigvals(ch.A[0] - np.outer(ch.B[0][:, i], ch.C[0][i]) / (1 + ch.H0[0, i])) for i in range(ch.H0.shape[1])]
+    places = np.concatenate([poles, roots, *opened]).astype(np.complex128)
+    places = places[np.abs(places) > 1e-9 * np.abs(places).max()]
+    w = thinned(frequencies_of_interest(places[None]), places[None])[0]
+    high = max(float(w[-1]), 3 * np.pi / float(cut.T.min()))
+    low_end, searched = 0.0, w
+    gain: list[tuple[Ints, Array, Complex]] = []
+    phase: list[tuple[Ints, Array, Complex]] = []
+    peaks = np.ones(ch.H0.shape[1]), np.full(ch.H0.shape[1], np.inf)
+    for _ in range(6):
+        piece = _resolved(searched, low_end, high, float(cut.T.max()))
+        H = point.H(piece)
+        piece, H = _refined(point, piece, H)
+        gain.append(_crossings(point, piece, H, gain=True))
+        phase.append(_crossings(point, piece, H, gain=False))
+        peaks = _peaks(point, piece, H, *peaks)
+        figures = assembled(_joined(gain), _joined(phase), at_zero, ch.H0, lambda x: x)
+        further = _needed(point, high, figures["gain_increase"][0])
+        if further <= high or piece.size >= MOST:
+            break
+        low_end, searched, high = high, np.array([high, further]), further
+    ends = np.stack([np.abs(1 + at_zero[0]), np.abs(1 + ch.H0[0])])
+    for end, place in zip(ends, (0.0, np.inf), strict=True):
+        better = end >= peaks[0] * (1 - 1e-12)
+        peaks = np.where(better, end, peaks[0]), np.where(better, place, peaks[1])
+    return {**figures, "sensitivity_peak": peaks[0][None], "peak_frequency": peaks[1][None]}
+
+
+def _resolved(w: Array, low: float, high: float, longest: float) -> Array:
+    """Frequencies w in [low, high], with steps over which e^(-jwT) turns little and which are short in the logarithm."""
+    count = int(min(MOST, np.ceil((high - low) * longest / TURN) + 2))
+    even = np.linspace(low, high, count)
+    start = max(low, float(w[w > 0].min()))
+    spread = np.geomspace(start, high, max(2, int(30 * np.log10(high / start)) + 2)) if high > start else np.array([high])
+    every = np.unique(np.concatenate([w[(w >= low) & (w <= high)], even, spread]))
+    return np.asarray(every[every > 0])
+
+
+def _refined(point: _Point, w: Array, H: Complex) -> tuple[Array, Complex]:
+    """More frequencies where Re H + 1/2 or Im H turns back just before zero: two crossings may hide there."""
+    for _ in range(2):
+        gaps: set[int] = set()
+        for f in (H.real + 0.5, H.imag):
+            size = np.abs(f)
+            same = (f[:, 1:-1] * f[:, 2:] > 0) & (f[:, 1:-1] * f[:, :-2] > 0)
+            dip = same & (size[:, 1:-1] < size[:, 2:]) & (size[:, 1:-1] < size[:, :-2])
+            dip &= size[:, 1:-1] < np.maximum(size[:, 2:] - size[:, 1:-1], size[:, :-2] - size[:, 1:-1])
+            gaps.update(int(k) for k in np.nonzero(dip)[1])
+        if not gaps:
+            break
+        left = np.array(sorted(gaps | {k + 1 for k in gaps}))
+        extra = (w[left, None] + (w[left + 1] - w[left])[:, None] * np.linspace(0, 1, 8)[1:-1]).ravel()
+        w, H = np.concatenate([w, extra]), np.concatenate([H, point.H(extra)], axis=1)
+        w, first = np.unique(w, return_index=True)
+        H = H[:, first]
+    return w, H
+
+
+def _crossings(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, Array, Complex]:
+    """Channels, frequencies and H of the sign changes of Re H + 1/2 (``gain``) or Im H, by the Illinois rule."""
+    f = H.real + 0.5 if gain else H.imag
+    changes = (f[:, :-1] >= 0) != (f[:, 1:] >= 0)  # a zero exactly on one of them counts once
+    if not gain:  # a loop too small for any gain to matter changes sign by rounding, everywhere
+        size = np.abs(H)
+        changes &= np.maximum(size[:, :-1], size[:, 1:]) > 1 / FARTHEST
+    channel, k = np.nonzero(changes)
+    a, b, fa, fb = w[k], w[k + 1], f[channel, k], f[channel, k + 1]
+    x, hx = a.copy(), H[channel, k]
+    todo = np.arange(channel.size)
+    for _ in range(60):
+        if not todo.size:
+            break
+        try_ = (a[todo] * fb[todo] - b[todo] * fa[todo]) / (fb[todo] - fa[todo])
+        x[todo] = np.where((try_ >= a[todo]) & (try_ <= b[todo]), try_, (a[todo] + b[todo]) / 2)
+        hx[todo] = point.one(channel[todo], x[todo])
+        fx = hx[todo].real + 0.5 if gain else hx[todo].imag
+        right = (fx >= 0) == (fb[todo] >= 0)
+        fa[todo], fb[todo] = np.where(right, fa[todo] / 2, fx), np.where(right, fx, fb[todo] / 2)
+        a[todo], b[todo] = np.where(right, a[todo], x[todo]), np.where(right, x[todo], b[todo])
+        found = (np.abs(fx) <= 1e-13 * np.abs(hx[todo])) | (b[todo] - a[todo] <= 1e-13 * b[todo])
+        todo = todo[~found]
+    return channel, x, hx
+
+
+def _peaks(point: _Point, w: Array, H: Complex, peak: Array, where: Array) -> tuple[Array, Array]:
+    """The largest |S| of each channel on w, zoomed in at its three highest places, if higher than before."""
+    size = np.abs(1 + H)
+    low, high = np.pad(size, ((0, 0), (1, 0)))[:, :-1], np.pad(size, ((0, 0), (0, 1)))[:, 1:]
+    k = np.argsort(np.where((size >= low) & (size >= high), -size, 0.0), axis=1)[:, :3]
+    channel = np.repeat(np.arange(len(H)), k.shape[1])
+    k = k.ravel()
+    a, b = w[np.maximum(k - 1, 0)], w[np.minimum(k + 1, w.size - 1)]
+    best, at = size[channel, k], w[k]
+    worth = (best > 0.7 * np.maximum(peak, size.max(axis=1))[channel]) & (k > 0) & (k < w.size - 1)
+    channel, a, b, best, at = channel[worth], a[worth], b[worth], best[worth], at[worth]
+    inner = np.linspace(0, 1, 9)
+    for _ in range(7):
+        x = a[:, None] + (b - a)[:, None] * inner
+        found = np.abs(1 + point.one(np.repeat(channel, inner.size), x.ravel())).reshape(x.shape)
+        top = found.argmax(axis=1)
+        rows = np.arange(channel.size)
+        better = found[rows, top] > best
+        best, at = np.where(better, found[rows, top], best), np.where(better, x[rows, top], at)
+        a, b = x[rows, np.maximum(top - 1, 0)], x[rows, np.minimum(top + 1, 8)]
+    peak, where = peak.copy(), where.copy()
+    for c, value, place in zip(channel, best, at, strict=True):
+        if value > peak[c]:
+            peak[c], where[c] = value, place
+    return peak, where
+
+
+def _joined(parts: list[tuple[Ints, Array, Complex]]) -> Crossings:
+    channel, w, H = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return Crossings(np.zeros(channel.size, np.int64), channel, w, H)
+
+
+def _needed(point: _Point, high: float, increase: Array) -> float:
+    """[rad/s] up to which a crossing could still bind: |L| >= 1, or a gain below the increase found so far."""
+    w = np.geomspace(high, 64 * high, 100)
+    H = point.H(w)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.abs(H / (1 + H))
+    binds = size >= np.minimum(1.0, 0.98 / increase)[:, None]
+    binds &= size > 1e-4
+    last = np.flatnonzero(binds.any(axis=0))
+    return float(w[min(last[-1] + 1, w.size - 1)]) if last.size else high

@@ -1,0 +1,254 @@
+"""Roots of a loop with dead time: exact, infinitely many, the rightmost ones wanted.
+
+Only the delayed wires are transported. With the others closed,
+
+    x' = A x + B w_in,   w_out = C x + D w_in,   w_in,j(t) = w_out,j(t - T_j),
+
+the roots are those of det [sI - A, -B; -E C, I - E D], E = diag(e^(-s T)). Chebyshev collocation of each wire's transport
+gives a matrix whose rightmost eigenvalues have nearly all digits; Newton on the determinant gives the rest.
+
+Sources: Breda, Maset, Vermiglio, "Pseudospectral differencing methods for characteristic roots of delay differential
+equations", SIAM J. Sci. Comput. 27 (2005), 482-495 (the collocation); Trefethen, Spectral Methods in MATLAB, ch. 6 (its
+matrix); Ruhe, "Algorithms for the nonlinear eigenvalue problem", SIAM J. Numer. Anal. 10 (1973), 674-689 (copies of a root).
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.spectrum import inside, poles, spectrum
+from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.analysis.zero_roots import without_decoupled_zeros
+from mfc_analysis.errors import BadArgument, Unsupported
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+MOST_NODES = 200  #: of one wire
+
+
+@dataclass(frozen=True, eq=False)
+class Delayed:
+    """One point of a loop with its delayed wires cut and the others closed: nd delayed wires."""
+
+    A: Array  #: (nx, nx)
+    B: Array  #: (nx, nd)
+    C: Array  #: (nd, nx)
+    D: Array  #: (nd, nd)
+    T: Array  #: (nd,) [s] > 0
+    zeros: int  #: roots at zero that the delayed wires drive and see
+    apart: int = 0  #: other roots at zero, already taken out
+
+
+def delayed_points(system: OpenSystem) -> list[Delayed]:
+    """Each point of the loop with the delayed wires cut."""
+    late = system.wire_delay > 0
+    A, B, C, D = close_wires(system, keep=late)
+    nu, ny = system.nu, system.ny
+    zeros = spectrum(system).roots.count
+    points = []
+    for i in range(len(A)):
+        a, b, c, left = A[i], B[i][:, nu:], C[i][ny:], int(zeros[i])
+        if left:
+            a, b, c = without_decoupled_zeros(a, b, c)
+            left = max(0, left - (system.nx - len(a)))
+        points.append(Delayed(a, b, c, D[i][ny:, nu:], system.wire_delay[late], left, int(zeros[i]) - left))
+    return points
+
+
+def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
+    """The (m, count) rightmost characteristic roots [rad/s] of the closed loop with its dead time, rightmost first.
+
+    Roots at zero are exact zeros. Where there are fewer roots (dead time outside every loop) the rest is -inf.
+    Raises ``Unsupported`` for a sampled loop, whose dead time is in its poles, and ``BadArgument``.
+    """
+    if system.dt:
+        raise Unsupported("delay_roots", "a sampled loop", "a continuous one: the poles in z of a sampled loop have its dead time inside")
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+        raise BadArgument("count", count, "a whole number >= 1")
+    out = np.full((len(system.A), count), -np.inf, np.complex128)
+    if not system.wire_delay.any():
+        found = poles(system)
+        order = np.lexsort((-found.imag, np.abs(found.imag), -found.real), axis=1)[:, :count]
+        out[:, : order.shape[1]] = np.take_along_axis(found, order, 1)
+        return out
+    for i, point in enumerate(delayed_points(system)):
+        zeros = point.zeros + point.apart
+        roots = _ordered(np.concatenate([np.zeros(zeros), rightmost(point, max(0, count - zeros))]))[:count]
+        out[i, : roots.size] = roots
+    return out
+
+
+def delay_stable(system: OpenSystem) -> NDArray[np.bool_]:
+    """(m,) whether every characteristic root that is not at zero lies to the left, dead time exact."""
+    verdict = np.zeros(len(system.A), bool)
+    for i, point in enumerate(delayed_points(system)):
+        if point.D.any() and _radius(np.abs(point.D)) >= 1:  # a chain of roots to the right, without end
+            continue
+        roots = rightmost(point, 2)
+        fastest = np.array(np.abs(np.linalg.eigvals(point.A)).max(initial=0.0))
+        verdict[i] = bool(inside(roots, 0.0, fastest).all())
+    return verdict
+
+
+def rightmost(point: Delayed, count: int) -> Complex:
+    """At least ``count`` rightmost roots that are not at zero, if there are so many; rightmost first."""
+    reach = _reach(point)
+    if not reach:  # no dead time is inside a loop
+        roots = np.linalg.eigvals(point.A).astype(np.complex128)
+        return _ordered(roots[np.argsort(np.abs(roots), kind="stable")[point.zeros :]])[: max(count, 2)]
+    more, found_before = 0, -1
+    for _ in range(6):
+        nodes = np.minimum(np.ceil(0.9 * reach * point.T) + 10 + more, MOST_NODES).astype(int)
+        found = _collocated(point, nodes)
+        good, sure = _polished(point, found[: 2 * count + 10])
+        if sure >= count or nodes.max() >= MOST_NODES or (more > 40 and sure <= found_before):
+            break
+        more, found_before = 2 * more + 12, sure
+    return _ordered(good)[: max(count, 2)]
+
+
+def _reach(point: Delayed) -> float:
+    """[rad/s] above which no delayed wire can sustain anything: the Perron root of |G(jw)| stays below one. 0: there is no loop."""
+    if not len(point.A) and not point.D.any():
+        return 0.0
+    size = np.abs(np.linalg.eigvals(point.A + point.B @ np.linalg.solve(np.eye(len(point.T)) - point.D, point.C)))
+    size = np.concatenate([size, np.abs(np.linalg.eigvals(point.A)), 1 / point.T])
+    top = size.max()
+    w = np.geomspace(max(size[size > 0].min(), 1e-3 * top) * 0.3, 1e3 * top, 80)
+    G = point.C @ np.linalg.solve(1j * w[:, None, None] * np.eye(len(point.A)) - point.A, point.B.astype(complex)) + point.D
+    strength = _perron(np.abs(G))
+    if strength.max() < 1e-12 * max(1.0, float(np.abs(G).max())):
+        return 0.0
+    alive = np.flatnonzero(strength >= 0.7)
+    return float(w[min(alive[-1] + 1, w.size - 1)]) if alive.size else float(w[0])
+
+
+def _perron(G: Array) -> Array:
+    """Upper bounds (k,) of the spectral radii of nonnegative G (k, n, n), near after a few powers: Collatz and Wielandt's quotients."""
+    x = np.ones((*G.shape[:2], 1))
+    bound = np.full(len(G), np.inf)
+    for _ in range(12):
+        y = G @ x
+        bound = np.minimum(bound, (y / x).max(axis=(1, 2)))
+        x = y + 1e-6 * y.max(axis=1, keepdims=True) + 1e-300
+        x = x / x.max(axis=1, keepdims=True)
+    return np.where(G.any(axis=(1, 2)), bound, 0.0)
+
+
+def _radius(A: Array) -> float:
+    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
+
+
+def differentiation(n: int) -> Array:
+    """(n + 1, n + 1) Chebyshev differentiation matrix on [-1, 1], nodes from 1 down to -1."""
+    k = np.arange(n + 1)
+    x = np.cos(np.pi * k / n)
+    c = np.where((k == 0) | (k == n), 2.0, 1.0) * (-1.0) ** k
+    D = np.outer(c, 1 / c) / (x[:, None] - x[None, :] + np.eye(n + 1))
+    return np.asarray(D - np.diag(D.sum(axis=1)))
+
+
+def _collocated(point: Delayed, nodes: NDArray[np.int64]) -> Complex:
+    """Eigenvalues of the loop with each wire's transport collocated, roots at zero taken out; rightmost first."""
+    nx, nd = len(point.A), len(point.T)
+    start = nx + np.concatenate([[0], np.cumsum(nodes)])
+    big = np.zeros((start[-1], start[-1]))
+    arrives = start[1:] - 1  # the last node of each wire: what comes out after the dead time
+    big[:nx, :nx] = point.A
+    big[:nx, arrives] = point.B
+    for j in range(nd):
+        d = differentiation(int(nodes[j])) * (2 / point.T[j])
+        rows = slice(start[j], start[j + 1])
+        big[rows, rows] = d[1:, 1:]
+        big[rows, :nx] = np.outer(d[1:, 0], point.C[j])
+        big[rows, arrives] += np.outer(d[1:, 0], point.D[j])
+    roots = np.linalg.eigvals(big).astype(np.complex128)
+    return _ordered(roots[np.argsort(np.abs(roots), kind="stable")[point.zeros :]])
+
+
+def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:
+    """Newton on the determinant; roots that settle nearby, and how many settled before the first that didn't.
+
+    A root with others as near as their rounding is one of several copies, polished together.
+    """
+    size = np.abs(roots) + 1e-3 / point.T.max()
+    apart = np.abs(roots[:, None] - roots[None, :]) + np.where(np.eye(roots.size, dtype=bool), np.inf, 0.0)
+    single = apart.min(axis=1, initial=np.inf) > 1e-3 * size
+    s, settled = roots.copy(), ~single
+    copies = np.flatnonzero(settled)
+    if copies.size:  # those of the transport alone, which are no roots, are far from a zero of the determinant
+        s[copies[~(np.abs(_newton(point, s[copies])) < 1e-4 * size[copies])]] = np.nan
+        _polish_copies(point, s, copies[np.isfinite(s[copies])], size)
+    for _ in range(12):
+        todo = np.flatnonzero(~settled & np.isfinite(s))
+        if not todo.size:
+            break
+        change = _newton(point, s[todo])
+        s[todo] = s[todo] + change
+        settled[todo] = np.abs(change) < 1e-13 * size[todo]
+        wild = np.abs(s[todo] - roots[todo]) > 0.3 * np.minimum(apart[todo].min(axis=1, initial=np.inf), size[todo])
+        s[todo[wild]] = np.nan
+    near = np.isfinite(s) & (np.abs(s - roots) < 1e-2 * size)
+    first_bad = int(np.argmin(near)) if not near.all() else near.size
+    real = (single & (roots.imag == 0)) | (np.abs(s.imag) < 1e-12 * size)
+    s = np.where(real, s.real + 0j, s)
+    return s[near], first_bad
+
+
+def _polish_copies(point: Delayed, s: Complex, copies: NDArray[np.int64], size: Array) -> None:
+    """Moves clusters of roots, in place: successive linear problems M(c) x = -d M'(c) x about their middle c, all copies at once (Ruhe 1973)."""
+    left = list(copies)
+    while left:
+        first = left[0]
+        group = [i for i in left if abs(s[i] - s[first]) < 2e-3 * size[first]]
+        left = [i for i in left if i not in group]
+        found = s[group]
+        for _ in range(4):
+            middle = found.mean()
+            M, slope = _characteristic(point, np.array([middle]))
+            with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
+                inverse = np.linalg.eigvals(np.linalg.solve(M[0], slope[0]))
+                nearest = inverse[np.argsort(-np.abs(inverse), kind="stable")[: len(group)]]
+                found = middle - 1 / nearest
+            if not np.all(np.abs(found - middle) < 1e-2 * size[first]) or abs(found.mean() - middle) < 1e-14 * size[first]:
+                break
+        if np.all(np.abs(found - s[group].mean()) < 1e-2 * size[first]):
+            s[group] = found
+
+
+def _newton(point: Delayed, s: Complex) -> Complex:
+    """Newton's steps -1 / trace(M^-1 M') at s (k,), M the characteristic matrix."""
+    M, slope = _characteristic(point, s)
+    try:
+        quotient = np.linalg.solve(M, slope)
+    except np.linalg.LinAlgError:  # exactly on a root
+        return np.zeros(1, np.complex128) if s.size == 1 else np.concatenate([_newton(point, one) for one in s[:, None]])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(-1 / np.trace(quotient, axis1=1, axis2=2))
+
+
+def _characteristic(point: Delayed, s: Complex) -> tuple[Complex, Complex]:
+    """The characteristic matrix M (k, nx + nd, nx + nd) at s (k,), and its derivative."""
+    nx, nd = len(point.A), len(point.T)
+    E = np.exp(-s[:, None] * point.T)[:, :, None]
+    M = np.zeros((s.size, nx + nd, nx + nd), np.complex128)
+    slope = np.zeros_like(M)
+    M[:, :nx, :nx] = s[:, None, None] * np.eye(nx) - point.A
+    M[:, :nx, nx:] = -point.B
+    M[:, nx:, :nx], M[:, nx:, nx:] = -E * point.C, np.eye(nd) - E * point.D
+    slope[:, :nx, :nx] = np.eye(nx)
+    late = point.T[:, None] * E
+    slope[:, nx:, :nx], slope[:, nx:, nx:] = late * point.C, late * point.D
+    return M, slope
+
+
+def _ordered(roots: Complex) -> Complex:
+    """Rightmost first, copies up to rounding together; of a pair the one above the axis first."""
+    unit = 1e-9 * (np.abs(roots[np.isfinite(roots)]).max(initial=0.0) or 1.0)
+    real, above = np.round(roots.real / unit), np.round(np.abs(roots.imag) / unit)
+    return np.asarray(roots[np.lexsort((-roots.imag, above, -real))])

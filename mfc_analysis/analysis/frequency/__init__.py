@@ -1,0 +1,1 @@
+"""Over frequency: responses, crossings, peaks."""

@@ -1,0 +1,126 @@
+"""Where the loops cross: every frequency at which |L_i| = 1, and every one at which L_i is real.
+
+With S_i = d + c (sI - A)^-1 b, on s = jw
+
+    Re S_i = d - c (A^2 + w^2)^-1 A b          |L_i| = 1  is  Re S_i = 1/2
+    Im S_i = -w c (A^2 + w^2)^-1 b             L_i real   is  Im S_i = 0
+
+so that w^2 are eigenvalues of a matrix of the size of A: of A^2 - A b c / (d - 1/2), negated, and the zeros of (A^2, b, c).
+Both are found shifted and inverted about one w0, from one complex inverse Z = (A - j w0)^-1 of each point: with
+G = (A^2 + w0^2)^-1 = Im Z / w0 and A G = Re Z, the numbers 1 / (w0^2 - w^2) are the eigenvalues of
+
+    G + (A G b)(c G) / (d - 1/2 - c A G b)     and     G - (G b)(c G) / (c G b).
+
+A is never squared, c b = 0 does no harm (zeros at infinity become eigenvalues 0), and no eigenvector is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.channels import Channels
+from mfc_analysis.analysis.frequency.exclusion import Intervals, crossover_intervals, narrowed
+from mfc_analysis.analysis.frequency.resolvent import Resolvent
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """k crossings of any points and channels, polished."""
+
+    point: Ints  #: (k,)
+    channel: Ints  #: (k,)
+    w: Array  #: (k,) [rad/s] > 0
+    H: Complex  #: (k,) S_i(jw) - 1
+
+    @property
+    def L(self) -> Complex:
+        """(k,) the loop L_i(jw)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(-self.H / (1 + self.H))
+
+
+def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossings]:
+    """All gain crossovers (|L| = 1) and all phase crossings (L real) at 0 < w < inf of every point and channel.
+
+    ``H``: (m, n, k) on the rising frequencies ``w`` (m, k) of interest: where modes are known, the crossovers are isolated
+    between them by ``exclusion``, which is cheaper than their eigenvalue problem; that one serves where exclusion gives up.
+    """
+    left = np.ones(found.ch.H0.shape, bool)  # crossovers left to the eigenvalue problem
+    parts: list[tuple[Ints, Ints, Array]] = []
+    modal = np.asarray(np.flatnonzero(found.modal), np.int64)
+    if modal.size:
+        some, failed = crossover_intervals(found.some(modal), w[modal], H[modal])
+        left[modal] = failed
+        some = Intervals(modal[some.point], some.channel, some.a, some.b, some.fa, some.fb)
+        parts.append((some.point, some.channel, narrowed(found, some)))
+    left &= ~found.ch.empty
+    gain, phase = _squared_frequencies(found.ch, found.poles, left)
+    parts.append(_candidates(gain))
+    point, channel, start = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    return _polished(found, point, channel, start, gain=True), _polished(found, *_candidates(phase), gain=False)
+
+
+def _squared_frequencies(ch: Channels, poles: Complex, with_gain: NDArray[np.bool_]) -> tuple[Complex, Complex]:
+    """w^2 (m, n, nx) of the gain crossovers, of the channels ``with_gain`` (m, n), and of the phase crossings; complex and infinite ones too."""
+    m, nx = ch.A.shape[:2]
+    n = ch.B.shape[2]
+    size = np.abs(poles)
+    size = np.where(size > 1e-9 * size.max(axis=1, keepdims=True), size, np.nan)
+    shift = 1.2345 * np.exp(np.nanmean(np.log(size), axis=1))
+    Z = np.linalg.inv(ch.A - 1j * shift[:, None, None] * np.eye(nx))
+    G, AG = np.ascontiguousarray(Z.imag) / shift[:, None, None], np.ascontiguousarray(Z.real)
+    Gb, AGb, cG = G @ ch.B, AG @ ch.B, ch.C @ G
+    cGb = np.einsum("mnx,mxn->mn", ch.C, Gb)
+    gap = ch.H0 + 0.5 - np.einsum("mnx,mxn->mn", ch.C, AGb)
+    inverse = np.full((2, m, n, nx), np.nan, np.complex128)
+    for which, column, scale, wanted in ((0, AGb, gap, with_gain), (1, -Gb, cGb, ~ch.empty)):
+        p, k = np.nonzero(wanted)
+        if p.size:
+            row = cG[p, k] / _nonzero(scale[p, k])[:, None]
+            inverse[which, p, k] = np.linalg.eigvals(G[p] + column[p, :, k][:, :, None] * row[:, None, :])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        squared = (shift**2)[:, None, None] - 1 / inverse
+    return squared[0], squared[1]
+
+
+def _nonzero(x: Array) -> Array:
+    return np.where(np.abs(x) < 1e-200, 1e-200, x)
+
+
+def _candidates(squared: Complex) -> tuple[Ints, Ints, Array]:
+    """Points, channels and w of the eigenvalues that are real and positive, up to the rounding of a double one."""
+    with np.errstate(invalid="ignore"):
+        real = (squared.real > 0) & (squared.imag >= 0) & (squared.imag <= 1e-5 * squared.real)
+    point, channel, which = np.nonzero(real)
+    return point, channel, np.sqrt(squared.real[point, channel, which])
+
+
+def _polished(found: Resolvent, point: Ints, channel: Ints, w: Array, gain: bool) -> Crossings:
+    """Newton on Re H = -1/2 (``gain``) or Im H = 0; what does not settle nearby was not a crossing (a zero at infinity)."""
+    keep = np.ones(w.size, bool)
+    start = w.copy()
+    H, slope = found.at(point, channel, w)
+    for _ in range(6):
+        miss, rate = (H.real + 0.5, slope.real) if gain else (H.imag, slope.imag)
+        scale = np.abs(H) + 1e-300
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.where(miss == 0, 0.0, miss / rate)
+        flat = np.abs(miss) <= 1e-13 * scale
+        keep &= flat | (np.isfinite(step) & (np.abs(step) < 0.05 * w))
+        again = keep & ~flat & (np.abs(step) > 1e-13 * w)
+        if not again.any():
+            break
+        w = np.where(again, w - np.where(again, step, 0.0), w)
+        H_new, slope_new = found.at(point[again], channel[again], w[again])
+        H[again], slope[again] = H_new, slope_new
+    keep &= np.abs(w - start) < 0.05 * start
+    miss = H.real + 0.5 if gain else H.imag
+    keep &= np.abs(miss) <= 1e-6 * np.abs(H)
+    return Crossings(point[keep], channel[keep], w[keep], H[keep])

@@ -1,0 +1,144 @@
+"""Gain crossovers by exclusion: cheaper than an eigenvalue problem for each channel, and as sure.
+
+Where H(jw) = H0 + sum r_k / (jw - s_k) is known by its modes, f(w) = Re H + 1/2 leaves the chord over [a, b] by at most
+
+    (b - a)^2 / 4 * sum |r_k| / d_k^3,       d_k: distance of s_k from the segment j[a, b],
+
+because |H''| <= 2 sum |r_k| / d_k^3. An interval whose ends have the same sign farther from zero than that holds no
+crossover; one whose chord is steeper than 2 (b - a) sum |r_k| / d_k^3 holds at most one. All others are halved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.frequency.resolvent import Resolvent
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+HALVINGS = 40
+MOST = 60  #: open intervals of one channel, on average; beyond it is left to the eigenvalue problem
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """k intervals of any points and channels, with f at their ends."""
+
+    point: Ints
+    channel: Ints
+    a: Array  #: [rad/s]
+    b: Array
+    fa: Array
+    fb: Array
+
+    def __getitem__(self, some: Bools) -> Intervals:
+        return Intervals(*(x[some] for x in vars(self).values()))
+
+
+def crossover_intervals(found: Resolvent, w: Array, H: NDArray[np.complex128]) -> tuple[Intervals, Bools]:
+    """Intervals with exactly one gain crossover each, and (m, n) where they are not all.
+
+    ``w``: (m, k) rising frequencies from 0, ``H``: (m, n, k) on them, of points that are all modal.
+    """
+    f = H.real + 0.5
+    weight = np.abs(found.residues)
+    failed = np.asarray(~np.isfinite(f).all(axis=2), bool)
+    bend = weight @ _inverse_cubes(found.poles, w[:, :-1], w[:, 1:])
+    open_ = ~_empty(f[..., :-1], f[..., 1:], (w[:, 1:] - w[:, :-1])[:, None], bend)
+    point, channel, k = np.nonzero(open_ & ~failed[..., None])
+    first = Intervals(point, channel, w[point, k], w[point, k + 1], f[point, channel, k], f[point, channel, k + 1])
+    steep = _steep(first, bend[point, channel, k])
+    far, infinite = _far_end(found, w[:, -1], weight)
+    failed |= infinite
+    point, channel = np.nonzero((far > w[:, -1:]) & ~failed)
+    tail = Intervals(point, channel, w[point, -1], far[point, channel], f[point, channel, -1], np.zeros(point.size))
+    tail = Intervals(point, channel, tail.a, tail.b, tail.fa, _f(found, point, channel, tail.b))
+    return _halved(found, weight, [first[steep]], _together([first[~steep], tail]), failed)
+
+
+def _halved(found: Resolvent, weight: Array, done: list[Intervals], todo: Intervals, failed: Bools) -> tuple[Intervals, Bools]:
+    for _ in range(HALVINGS):
+        if not todo.a.size:
+            break
+        crowded = np.zeros(failed.shape, np.int64)
+        np.add.at(crowded, (todo.point, todo.channel), 1)
+        failed |= crowded > MOST
+        todo = todo[~failed[todo.point, todo.channel]]
+        middle = np.where(todo.b > 4 * todo.a, np.sqrt(np.maximum(todo.a, 1e-6 * todo.b) * todo.b), (todo.a + todo.b) / 2)
+        fm = _f(found, todo.point, todo.channel, middle)
+        both = _together(
+            [
+                Intervals(todo.point, todo.channel, todo.a, middle, todo.fa, fm),
+                Intervals(todo.point, todo.channel, middle, todo.b, fm, todo.fb),
+            ]
+        )
+        cubes = _inverse_cubes(found.poles[both.point], both.a[:, None], both.b[:, None])[..., 0]
+        bend = (weight[both.point, both.channel] * cubes).sum(axis=1)
+        some = ~_empty(both.fa, both.fb, both.b - both.a, bend)
+        both, bend = both[some], bend[some]
+        narrow = both.b - both.a <= 1e-10 * both.b
+        finished = _steep(both, bend) | narrow
+        done.append(both[finished & ((both.fa >= 0) != (both.fb >= 0))])
+        todo = both[~finished]
+    if todo.a.size:
+        failed[todo.point, todo.channel] = True
+    every = _together(done)
+    return every[~failed[every.point, every.channel]], failed
+
+
+def narrowed(found: Resolvent, some: Intervals) -> Array:
+    """The crossover (k,) [rad/s] in each interval, nearly: Newton, kept inside by bisection."""
+    a, b = some.a, some.b
+    rising = some.fb > some.fa
+    x = a - some.fa * (b - a) / (some.fb - some.fa)
+    for _ in range(6):
+        H, slope = found.at(some.point, some.channel, x)
+        f = H.real + 0.5
+        left = (f < 0) == rising
+        a, b = np.where(left, x, a), np.where(left, b, x)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = x - f / slope.real
+        x = np.where((step >= a) & (step <= b), step, (a + b) / 2)
+    return x
+
+
+def _f(found: Resolvent, point: Ints, channel: Ints, w: Array) -> Array:
+    return np.asarray(found.at(point, channel, w)[0].real + 0.5)
+
+
+def _inverse_cubes(poles: NDArray[np.complex128], a: Array, b: Array) -> Array:
+    """1/d^3 (m, nx, k) of poles (m, nx) from the segments j[a, b], (m, k) each."""
+    height = poles.imag[:, :, None]
+    away = np.maximum(np.maximum(a[:, None, :] - height, height - b[:, None, :]), 0.0)
+    square = away * away + (poles.real**2)[:, :, None]
+    return np.asarray(1 / (square * np.sqrt(square)))
+
+
+def _empty(fa: Array, fb: Array, h: Array, bend: Array) -> Bools:
+    same = (fa >= 0) == (fb >= 0)
+    return np.asarray(same & (np.minimum(np.abs(fa), np.abs(fb)) > 0.25 * h * h * bend))
+
+
+def _steep(some: Intervals, bend: Array) -> Bools:
+    h = some.b - some.a
+    crosses = (some.fa >= 0) != (some.fb >= 0)
+    return np.asarray(crosses & (np.abs(some.fb - some.fa) > 2 * h * h * bend))
+
+
+def _far_end(found: Resolvent, last: Array, weight: Array) -> tuple[Array, Bools]:
+    """(m, n) [rad/s] beyond which f keeps the sign of its limit, and where that limit is zero."""
+    limit = np.abs(found.ch.H0 + 0.5)
+    total = weight.sum(axis=2)
+    infinite = limit < 1e-9
+    fastest = np.abs(found.poles).max(axis=1)[:, None]
+    far = fastest + 1.01 * total / np.where(infinite, 1.0, limit)
+    return np.where(far > last[:, None], far, 0.0), infinite
+
+
+def _together(parts: list[Intervals]) -> Intervals:
+    return Intervals(*(np.concatenate(x) for x in zip(*(vars(p).values() for p in parts), strict=True)))

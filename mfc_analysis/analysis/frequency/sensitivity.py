@@ -1,0 +1,103 @@
+"""The matrix sensitivity S = (I + L)^-1 of several channels at once, over frequency, dead time exact.
+
+Every wire is closed and a signal r is added behind each wire of the analysis point; what goes on there is S r, and T = I - S.
+At "position" the rate carries jw r as well. One analysis point or several together (loop input and output at once).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.channels import has_rate, point_wires
+from mfc_analysis.analysis.frequency.resolvent import CONDITION
+from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.errors import BadArgument
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """Which wires of a system carry the k channels of one or several analysis points."""
+
+    system: OpenSystem
+    points: tuple[str, ...]
+    names: tuple[str, ...]  #: (k,) "joint" or, with several points, "point joint"
+    wires: NDArray[np.int64]  #: (k,) among the nw
+    rates: NDArray[np.int64]  #: (k,) the rate wire behind a position wire, else -1
+
+
+def opened(system: OpenSystem, at: str | Sequence[str]) -> Opened:
+    """The channels of ``at``: a point, or several together. Raises ``UnknownPoint`` and, for none or a repeated one, ``BadArgument``."""
+    points = (at,) if isinstance(at, str) else tuple(at)
+    if not points or len(set(points)) < len(points):
+        raise BadArgument("at", at, "an analysis point, or several different ones")
+    wires: list[int] = []
+    rates: list[int] = []
+    names: list[str] = []
+    for point in points:
+        found = range(*point_wires(system, point).indices(system.nw))
+        wires += found
+        rates += range(*system.wires["rate"].indices(system.nw)) if has_rate(system, point) else [-1] * len(found)
+        names += [system.wire_names[i] if len(points) == 1 else f"{point} {system.wire_names[i]}" for i in found]
+    return Opened(system, points, tuple(names), np.array(wires), np.array(rates))
+
+
+def sensitivity(channels: Opened, index: int, frequencies: Array) -> Complex:
+    """S at one point of the path, (nf, k, k), at frequencies (nf,) [rad/s]; of a sampled loop below pi / dt."""
+    system = channels.system
+    nu, ny, nw = system.nu, system.ny, system.nw
+    A, B, C, D = system.A[index], system.B[index, :, nu:], system.C[index, ny:], system.D[index, ny:, nu:]
+    s: Complex = np.asarray(np.exp(1j * frequencies * system.dt) if system.dt else 1j * frequencies, np.complex128)
+    moving = np.flatnonzero(channels.rates >= 0)
+    into, out = np.concatenate([channels.wires, channels.rates[moving]]), channels.wires
+    if not system.dt and system.wire_delay.any():
+        H = _delayed(A, B, C, D, system.wire_delay, frequencies, into, out)
+    else:
+        through = np.linalg.inv(np.eye(nw) - D) if D.any() else np.eye(nw)
+        H = _response(A + B @ through @ C, B @ through[:, into], through[out] @ C, s) + through[np.ix_(out, into)]
+    chosen = H[:, :, : out.size]
+    if moving.size:
+        chosen[:, :, moving] += s[:, None, None] * H[:, :, out.size :]
+    return chosen
+
+
+def sensitivity_at_infinity(channels: Opened, index: int) -> Complex:
+    """S at infinite frequency, (k, k), where dead time has let nothing through; of a sampled loop at its Nyquist frequency."""
+    system = channels.system
+    if system.dt:
+        return np.asarray(sensitivity(channels, index, np.array([np.pi / system.dt]))[0])
+    D = system.D[index, system.ny :, system.nu :] * (system.wire_delay == 0)[:, None]
+    through = np.linalg.inv(np.eye(system.nw) - D)
+    S = through[channels.wires[:, None], channels.wires]
+    moving = np.flatnonzero(channels.rates >= 0)
+    if moving.size:
+        C, B = through @ system.C[index, system.ny :], system.B[index, :, system.nu :] @ through
+        S[:, moving] += C[channels.wires] @ B[:, channels.rates[moving]]
+    return S.astype(complex)
+
+
+def _response(A: Array, B: Array, C: Array, s: Complex) -> Complex:
+    """C (sI - A)^-1 B for each s, by modes where these are well conditioned, else by solving."""
+    poles, V = np.linalg.eig(A)
+    if np.linalg.cond(V) < CONDITION:
+        residues = (C @ V).T[:, :, None] * np.linalg.solve(V, B.astype(complex))[:, None, :]
+        H = (1 / (s[:, None] - poles)) @ residues.reshape(len(A), -1)
+        return np.asarray(H.reshape(s.size, *residues.shape[1:]))
+    return np.asarray(C @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B.astype(complex), (s.size, *B.shape))))
+
+
+def _delayed(A: Array, B: Array, C: Array, D: Array, delay: Array, w: Array, into: Ints, out: Ints) -> Complex:
+    """Response (nf, out, into) with every wire closed through its dead time: input behind the cut, output what goes on there."""
+    E = np.exp(-1j * w[:, None] * delay)[:, :, None]
+    through = np.linalg.inv(np.eye(len(delay)) - E * D)
+    force = B @ through
+    back = through @ (E * C)
+    closed = 1j * w[:, None, None] * np.eye(len(A)) - A - force @ (E * C)
+    return np.asarray(back[:, out] @ np.linalg.solve(closed, force[:, :, into]) + through[:, out[:, None], into])

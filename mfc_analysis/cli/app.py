@@ -1,0 +1,245 @@
+"""The command line: ``mfc-analysis``. Each command imports what it needs when it runs, so that ``--help`` comes at once.
+
+Exit codes: 0 done or met, 1 a requirement is not met, 2 bad input (with a sentence on the standard error, never a traceback).
+"""
+
+from __future__ import annotations
+
+from io import TextIOWrapper
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mfc_analysis.cli import terminal
+from mfc_analysis.errors import BadArgument
+
+app = typer.Typer(
+    name="mfc-analysis",
+    help="Are the loops of a robot arm stable, how far from trouble are they, and which gains to use.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="A study file (TOML), or the name of one that ships: see 'studies'.")]
+
+
+def main() -> None:
+    """Runs the command line."""
+    import sys
+
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a console that has no such character shows another one, and no traceback
+    app()
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from mfc_analysis import __version__
+
+        terminal.say(f"mfc-analysis {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False) -> None:
+    pass
+
+
+# --- reports and checks --------------------------------------------------------------------------------------------------
+
+
+@app.command()
+@terminal.guarded
+def report(
+    study: Annotated[Path | None, typer.Argument(metavar="[STUDY]", help="A study file; omitted: the whole chapter on the embedded robots.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder to write into; nothing is written outside of it.")] = Path("out"),
+    format: Annotated[str, typer.Option(help="Some of html, pdf, json, separated by commas.")] = "",
+) -> None:
+    """Write a report: HTML, PDF and machine-readable JSON."""
+    from mfc_analysis.report import study as study_report
+
+    formats = _formats(format)
+    with terminal.progress("report") as advance:
+        files = study_report.chapter(out, formats, advance) if study is None else study_report.report(_study(study), out, formats, advance)
+    terminal.say(*(str(path) for path in files))
+
+
+@app.command()
+@terminal.guarded
+def check(
+    study: StudyFile,
+    allow_watch: Annotated[bool, typer.Option(help="A verdict of WATCH (limits met, with a reservation) counts as met.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="The lines as JSON instead of tables.")] = False,
+) -> None:
+    """Check a study's requirements: exit code 0 met, 1 not met, 2 bad input."""
+    from mfc_analysis.study import check as study_check
+
+    with terminal.progress("check") as advance:
+        checks = study_check.check(_study(study), advance, search=True)
+    if json:
+        terminal.say(study_check.as_json(checks))
+    else:
+        for one in checks:
+            terminal.table(study_check.COLUMNS, one.rows(), one.heading)
+            terminal.say(*one.sentences())
+    met = {"PASS", "WATCH"} if allow_watch else {"PASS"}
+    if any(one.status not in met for one in checks):
+        raise typer.Exit(terminal.NOT_MET)
+
+
+@app.command()
+@terminal.guarded
+def init(
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A URDF file, or a name of 'mfc-analysis robots'.")],
+    out: Annotated[Path | None, typer.Option(help="The study to write; default: the robot's name .toml in this folder.")] = None,
+    tool: Annotated[str | None, typer.Option(help="A link or frame; default: the last link.")] = None,
+    force: Annotated[bool, typer.Option(help="Overwrite.")] = False,
+) -> None:
+    """Write a commented study for a robot; it runs as it is."""
+    from mfc_analysis.study import init as study_init
+
+    written = study_init.write(robot, out, tool, overwrite=force)
+    terminal.say(f"{written}", f"next: mfc-analysis check {written}")
+
+
+@app.command()
+@terminal.guarded
+def studies(
+    copy: Annotated[Path | None, typer.Option(help="Copy them into this folder, to start from.")] = None,
+    keys: Annotated[bool, typer.Option("--keys", help="List every table that a study may have, and its keys.")] = False,
+) -> None:
+    """List the studies that ship with the package."""
+    from mfc_analysis.study.shipped import copied, shipped
+
+    if keys:
+        from mfc_analysis.study.read import keys as tables
+
+        terminal.pairs([(name, ", ".join(takes)) for name, takes in tables().items()])
+        return
+    if copy is not None:
+        terminal.say(*(str(path) for path in copied(copy)))
+        return
+    terminal.pairs([(name, title) for name, (_, title) in shipped().items()])
+
+
+def _study(path: Path) -> Any:
+    from mfc_analysis import study
+    from mfc_analysis.study.shipped import found
+
+    return study.read(found(path))
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    known = ("html", "pdf", "json")
+    formats = tuple(word.strip().lower() for word in text.split(",") if word.strip())
+    for word in formats:
+        if word not in known:
+            raise BadArgument("--format", word, "some of html, pdf, json, separated by commas")
+    return formats
+
+
+# --- design helpers ------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+@terminal.guarded
+def gains(
+    kind: Annotated[str, typer.Argument(help="p, pi, pd, pid, joint-pid, force-pi or cartesian-damping.")],
+    bandwidth_hz: Annotated[float | None, typer.Option(help="Frequency where T = L/(1 + L) falls to -3 dB, in Hz.")] = None,
+    bandwidth: Annotated[float | None, typer.Option(help="The same, in rad/s.")] = None,
+    natural_frequency_hz: Annotated[float | None, typer.Option(help="Of the dominant poles, in Hz.")] = None,
+    natural_frequency: Annotated[float | None, typer.Option(help="The same, in rad/s.")] = None,
+    crossover_hz: Annotated[float | None, typer.Option(help="Frequency where |L| = 1, in Hz.")] = None,
+    crossover: Annotated[float | None, typer.Option(help="The same, in rad/s.")] = None,
+    settling_time: Annotated[float | None, typer.Option(help="Time to 2 %, in s.")] = None,
+    damping: Annotated[float | None, typer.Option(help="Damping ratio of the dominant pair; default: 1.")] = None,
+    inertia: Annotated[str | None, typer.Option(help="A number, or several separated by commas, in kg m^2 or kg; default: 1.")] = None,
+    robot: Annotated[str | None, typer.Option(help="joint-pid, cartesian-damping: a URDF file, a study, or a name of 'robots'.")] = None,
+    tool: Annotated[str | None, typer.Option(help="Its tool frame.")] = None,
+    q: Annotated[str | None, typer.Option(help="Its pose, numbers separated by commas, in rad or m; default: all 0, or the study's start.")] = None,
+    stiffness: Annotated[str | None, typer.Option(help="force-pi: of the surface, in N/m; cartesian-damping: a number or six.")] = None,
+    mass: Annotated[float | None, typer.Option(help="force-pi: what pushes, in kg.")] = None,
+    lag: Annotated[float | None, typer.Option(help="force-pi: of the torque loop, in s.")] = None,
+    friction: Annotated[float | None, typer.Option(help="force-pi: of what pushes, in N s/m.")] = None,
+    ratio: Annotated[float | None, typer.Option(help="cartesian-damping: damping ratio of each mode; default: 1.")] = None,
+) -> None:
+    """Gains from a bandwidth, natural frequency, crossover or settling time, with the formula and what they achieve."""
+    from mfc_analysis.cli import gains as gains_command
+
+    given = {name: value for name, value in locals().items() if value is not None and name not in ("kind", "gains_command")}
+    terminal.say(str(gains_command.designed(kind, given)))
+
+
+# --- exercises -----------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+@terminal.guarded
+def exercise(
+    number: Annotated[str, typer.Argument(help="9.1, 9.2, 9.3 or 9.4.")],
+    target_deg: Annotated[float | None, typer.Option(help="9.1-9.3: where the link shall go, in degrees.")] = None,
+    kp: Annotated[float | None, typer.Option(help="Proportional gain (9.1: N m/rad; 9.2, 9.3: 1/s^2).")] = None,
+    ki: Annotated[float | None, typer.Option(help="Integral gain (9.1: N m/(rad s); 9.2, 9.3: 1/s^3).")] = None,
+    kd: Annotated[float | None, typer.Option(help="Derivative gain (9.1: N m s/rad; 9.2, 9.3: 1/s).")] = None,
+    velocity_deg: Annotated[float | None, typer.Option(help="9.2, 9.3: target velocity, the top speed on the way, in degrees/s; 0: a step.")] = None,
+    duration: Annotated[float, typer.Option(help="9.1-9.3: length of the run after the motion, in s.")] = 5.0,
+    inertia: Annotated[float, typer.Option(help="9.1-9.3: of the link about its joint, in kg m^2.")] = 0.5,
+    mass: Annotated[float, typer.Option(help="9.1-9.3: of the link, in kg.")] = 1.0,
+    com_distance: Annotated[float, typer.Option(help="9.1-9.3: of its centre of mass from the joint, in m.")] = 0.1,
+    damping: Annotated[float, typer.Option(help="9.1-9.3: friction of the joint, in N m s/rad.")] = 0.1,
+    theta_deg: Annotated[float | None, typer.Option(help="9.4: angle of the revolute joint, in degrees.")] = None,
+    d: Annotated[float | None, typer.Option(help="9.4: length of the prismatic joint, in m.")] = None,
+    fx: Annotated[float | None, typer.Option(help="9.4: force along x of the base, in N.")] = None,
+    fy: Annotated[float | None, typer.Option(help="9.4: force along y of the base, in N.")] = None,
+    out: Annotated[Path | None, typer.Option(help="9.1-9.3: folder for the graph of position, velocity and torque (SVG).")] = None,
+) -> None:
+    """The chapter's practice questions. What no option answers is asked for on a terminal, and has its default elsewhere."""
+    from mfc_analysis.cli import exercise as exercise_command
+
+    answers = {"target_deg": target_deg, "kp": kp, "ki": ki, "kd": kd, "velocity_deg": velocity_deg}
+    answers |= {"theta_deg": theta_deg, "d": d, "fx": fx, "fy": fy}
+    link = {"inertia": inertia, "mass": mass, "com_distance": com_distance, "damping": damping}
+    exercise_command.run(number, {key: value for key, value in answers.items() if value is not None}, link, duration, out)
+
+
+# --- what there is -------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+@terminal.guarded
+def laws() -> None:
+    """The control laws, by equation."""
+    from dataclasses import fields
+
+    from mfc_analysis.laws import LAWS
+
+    rows = []
+    for number, law in LAWS.items():
+        takes = ", ".join(f.name for f in fields(law) if f.init)  # type: ignore[arg-type]
+        said = (law.__doc__ or "").strip().splitlines()[0].split(":")[0]
+        rows.append((number, law.__name__, said, takes or "-", ", ".join(law.opens_at)))
+    terminal.table(("equation", "law", "what", "takes", "opens at"), rows)
+
+
+def _first_line(docstring: str | None) -> str:
+    """The first line of a docstring, without the formula and the marks of reStructuredText."""
+    return (docstring or "").strip().splitlines()[0].partition(": :math:")[0].replace("``", "").rstrip(".")
+
+
+@app.command()
+@terminal.guarded
+def robots() -> None:
+    """The robots: embedded ones, and the arms of the optional example-robot-data."""
+    from mfc_analysis.robots.catalogue import EMBEDDED, names
+
+    rows = []
+    for name, build in EMBEDDED.items():
+        robot = build()
+        rows.append((name, "embedded", str(robot.n), robot.tool, _first_line(build.__doc__)))
+    arms = tuple(name for name in names() if name not in EMBEDDED or name == "ur5")
+    rows += [(name, "load", "", "", "example-robot-data") for name in arms]
+    terminal.table(("name", "from", "joints", "tool", "what"), rows)

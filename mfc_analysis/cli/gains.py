@@ -1,0 +1,74 @@
+"""``mfc-analysis gains``: options of the command line to a design helper."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mfc_analysis.errors import BadArgument, UnknownName
+
+if TYPE_CHECKING:
+    from mfc_analysis.gains.result import Gains
+    from mfc_analysis.robots.robot import Robot
+
+KINDS = ("p", "pi", "pd", "pid", "joint-pid", "force-pi", "cartesian-damping")
+
+
+def designed(kind: str, given: Mapping[str, Any]) -> Gains:
+    """The gains of a helper from the options given, by their names with underscores.
+
+    Raises UnknownName for a kind that isn't there, BadArgument for an option the helper does not take, and the helper's own.
+    """
+    from mfc_analysis import gains
+
+    kind = kind.replace("_", "-")
+    if kind not in KINDS:
+        raise UnknownName("kind", kind, KINDS)
+    helper = getattr(gains, kind.replace("-", "_"))
+    takes = tuple(signature(helper).parameters)
+    asked: dict[str, Any] = {}
+    for name, value in given.items():
+        key, factor = (name[:-3], 2 * math.pi) if name.endswith("_hz") else (name, 1.0)
+        if key not in takes and not (key == "tool" and "robot" in takes):
+            raise BadArgument(f"--{name.replace('_', '-')}", value, f"nothing: {kind} takes {', '.join('--' + t.replace('_', '-') for t in takes)}")
+        if key in asked:
+            raise BadArgument(f"--{name.replace('_', '-')}", value, f"either --{key.replace('_', '-')}-hz or --{key.replace('_', '-')}")
+        asked[key] = numbers(name, value) if isinstance(value, str) and key not in ("robot", "tool") else value if factor == 1.0 else factor * value
+    for name in ("stiffness", "mass"):
+        if name in takes and name not in asked:
+            raise BadArgument(f"--{name}", None, f"a number: {kind} needs it")
+    tool = asked.pop("tool", None)
+    if "robot" not in takes:
+        return helper(**asked)  # type: ignore[no-any-return]
+    if "robot" not in asked:
+        raise BadArgument("--robot", None, f"a URDF file, a study or a robot's name: {kind} needs its mass matrix")
+    arm, start = _arm_and_start(asked.pop("robot"), tool)
+    q = asked.pop("q", start)
+    return helper(arm, [q] if isinstance(q, float) else q, **asked)  # type: ignore[no-any-return]
+
+
+def _arm_and_start(name: str, tool: str | None) -> tuple[Robot, list[float]]:
+    """A robot and a pose: of a study its first loop's, payload included, where its reference starts; else the pose 0."""
+    if Path(name).suffix != ".toml":
+        from mfc_analysis.robots.catalogue import robot_named
+
+        arm = robot_named(name, tool)
+        return arm, [0.0] * arm.n
+    if tool is not None:
+        raise BadArgument("--tool", tool, f"nothing: {name} says its own tool")
+    from mfc_analysis import study
+
+    loop = study.read(name).loops[0].loop
+    return loop.robot, [float(value) for value in loop.nominal([0.0]).q[0]]
+
+
+def numbers(name: str, text: str) -> float | list[float]:
+    """A number, or several separated by commas. Raises BadArgument."""
+    try:
+        out = [float(part) for part in text.split(",")]
+    except ValueError as why:
+        raise BadArgument(f"--{name.replace('_', '-')}", text, "a number, or numbers separated by commas") from why
+    return out[0] if len(out) == 1 else out

@@ -1,0 +1,252 @@
+"""Design searches: how stiff, how late, how seldom, how heavy, how fast a loop may become. Bisection on exact stability.
+
+Judged are the roots that are not at zero, dead time and sampling exact, at all ``times`` (a Hold: at 0; else 21 times over the
+reference's duration or period). Each result is a float that says what binds, with the loop on the limit in ``.loop``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.design.searches import Bracket, Limit, Outcome, first_loss, scan, shown
+from mfc_analysis.design.worst_case import WorstCase, worst_case
+from mfc_analysis.dynamics.environment import stiffened
+from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths import checks
+from mfc_analysis.requirements.evidence import Evidence
+from mfc_analysis.requirements.requirements import Line, Requirements, Status
+
+Array = NDArray[np.float64]
+
+__all__ = ["Limit", "Outcome", "WorstCase", "max_bandwidth", "max_delay", "max_payload", "max_stiffness", "min_sample_rate", "worst_case"]
+
+MOVING_TIMES = 21  #: times judged along a moving reference
+
+
+def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | None = None, progress: bool = False) -> Limit:
+    """Largest environment stiffness [N/m] (rotations alone: [Nm/rad]) with which the loop is stable; inf if stable up to ``upper``.
+
+    Varied is every environment with a preload (all of them where none has one): its stiffness is scaled until its largest
+    translational entry is the value, its damping kept. The force at the reference stays what it is: the preload takes up what the
+    penetration there, times the change of stiffness, would add. The scan starts at 1e-8 ``upper``; if stable nowhere: 0.
+
+    Raises BadArgument: a loop without an environment, ``upper`` not a positive number.
+    """
+    _loop(loop)
+    upper = checks.number("upper", upper, low=0.0, strict=True)
+    surfaces = loop.equations.surfaces
+    if not surfaces:
+        raise BadArgument("loop", str(loop), "a loop with an environment: ClosedLoop(..., environment=mfc.Environment(...))")
+    pressed = [s.f0.any() for s in surfaces]
+    varied = pressed if any(pressed) else [True] * len(surfaces)
+    X = loop.robot.pose(loop.nominal(_times(loop, times)[:1]).q[0])
+
+    def stiffer(k: float) -> ClosedLoop:
+        return replace(loop, environment=[stiffened(s, k, X) if vary else s for s, vary in zip(surfaces, varied, strict=True)])
+
+    return _limit(stiffer, scan(1e-8 * upper, upper), loop, times, "largest stable stiffness", "N/m", progress)
+
+
+def max_delay(loop: ClosedLoop, upper: float = 10.0, *, times: ArrayLike | None = None, progress: bool = False) -> Limit:
+    """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the loop's own) with which the loop is stable.
+
+    inf if stable up to ``upper`` [s]; 0 if it is not stable without dead time. Raises BadArgument.
+    """
+    _loop(loop)
+    upper = checks.number("upper", upper, low=0.0, strict=True)
+    hardware = loop.hardware or Hardware()
+
+    def later(delay: float) -> ClosedLoop:
+        return replace(loop, hardware=replace(hardware, delay=delay or None))
+
+    return _limit(later, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), loop, times, "largest stable dead time", "s", progress)
+
+
+def max_payload(
+    loop: ClosedLoop, upper: float = 1e3, *, com: ArrayLike = (0.0, 0.0, 0.0), times: ArrayLike | None = None, progress: bool = False
+) -> Limit:
+    """Largest payload [kg] added at the tool, the controller not knowing, with which the loop is stable about its reference.
+
+    The payload is a point mass at ``com`` (3,) [m] in tool axes, on top of what the plant carries; the controller's model stays what it
+    was. inf if stable up to ``upper`` [kg]; 0 if it is not stable without. Raises BadArgument.
+    """
+    _loop(loop)
+    upper = checks.number("upper", upper, low=0.0, strict=True)
+    com = checks.array("com", com, (3,))
+    model = loop.equations.model
+
+    def heavier(mass: float) -> ClosedLoop:
+        return replace(loop, robot=loop.robot.with_payload(mass, com) if mass else loop.robot, controller_model=model)
+
+    return _limit(heavier, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), loop, times, "largest stable payload", "kg", progress)
+
+
+def min_sample_rate(loop: ClosedLoop, lower: float = 0.1, upper: float = 1e5, *, times: ArrayLike | None = None, progress: bool = False) -> Limit:
+    """Smallest rate [1/s] of a sampled controller (``Hardware.sample_time``, zero-order hold) with which the loop is stable.
+
+    Searched from ``upper`` downwards to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate. Raises BadArgument.
+    """
+    _loop(loop)
+    lower, upper = checks.number("lower", lower, low=0.0, strict=True), checks.number("upper", upper, low=0.0, strict=True)
+    hardware = loop.hardware or Hardware()
+
+    def sampled(period: float) -> ClosedLoop:
+        return replace(loop, hardware=replace(hardware, sample_time=period))
+
+    found = _limit(sampled, scan(1 / upper, 1 / lower), loop, times, "smallest stable sample rate", "1/s", progress)
+    value = {Outcome.FOUND: 1 / found if found else np.inf, Outcome.UNLIMITED: 0.0, Outcome.NOWHERE: np.inf}[found.outcome]
+    note = (f"sample time {float(found):.6g} s",) if found.outcome is Outcome.FOUND else ()
+    return Limit(value, found.name, found.unit, found.outcome, found.binds, found.loop, found.beyond, found.evaluations, note + found.notes)
+
+
+def max_bandwidth(
+    make_loop: Callable[[float], ClosedLoop | Sequence[ClosedLoop]],
+    requirements: Requirements,
+    times: ArrayLike,
+    *,
+    at: str | None = None,
+    lower: float = 0.1,
+    upper: float = 1e4,
+    progress: bool = False,
+) -> Bandwidth:
+    """Largest bandwidth [rad/s] whose loop meets the requirements: 1 % more misses the one that is named (``.binding``).
+
+    Args:
+        make_loop: bandwidth [rad/s] -> the loop, or several of them (payloads, surfaces) that all have to meet the requirements.
+        times, at: as for ``Requirements.check``. lower, upper: [rad/s] ends of the search.
+
+    WATCH counts as met. Bandwidths from ``lower`` on that miss the requirements (too slow, say) are passed over and noted. 0 if met
+    nowhere, inf if met up to ``upper``. Raises BadArgument, and whatever ``make_loop`` raises.
+    """
+    if not isinstance(requirements, Requirements):
+        raise BadArgument("requirements", requirements, "a Requirements, such as mfc.Requirements(phase_deg=45)")
+    if not callable(make_loop):
+        raise BadArgument("make_loop", make_loop, "a function of the bandwidth [rad/s] that returns a ClosedLoop or several")
+    lower, upper = checks.number("lower", lower, low=0.0, strict=True), checks.number("upper", upper, low=0.0, strict=True)
+    t = checks.times(times)
+    with shown(progress, "largest bandwidth [rad/s]") as tick:
+
+        def missed(bandwidth: float) -> tuple[ClosedLoop, Line | None]:
+            tick(bandwidth)
+            return _missed(make_loop(bandwidth), requirements, t, at)
+
+        bracket = first_loss(lambda w: missed(w)[1] is None, scan(lower, upper, 6))
+        return _bandwidth(bracket, missed, lower)
+
+
+class Bandwidth(Limit):
+    """The result of ``max_bandwidth``: a ``Limit`` [rad/s] that names the requirement that binds."""
+
+    binding: Line | None = None  #: the line that is missed just beyond; None where nothing is
+
+
+def _bandwidth(bracket: Bracket, missed: Callable[[float], tuple[ClosedLoop, Line | None]], lower: float) -> Bandwidth:
+    name, unit = "largest bandwidth", "rad/s"
+    count = bracket.evaluations
+    if bracket.outcome is Outcome.UNLIMITED:
+        return Bandwidth(
+            np.inf, name, unit, bracket.outcome, f"every requirement is met up to {bracket.holds:.6g} rad/s", missed(bracket.holds)[0], None, count
+        )
+    beyond, line = missed(bracket.lost)
+    assert line is not None
+    said = f"{line.label} is missed beyond: {_shown(line)}"
+    if bracket.outcome is Outcome.NOWHERE:
+        out = Bandwidth(
+            0.0,
+            name,
+            unit,
+            bracket.outcome,
+            f"no bandwidth meets every requirement; at {bracket.lost:.6g} rad/s {_shown(line)}",
+            beyond,
+            beyond,
+            count,
+        )
+    else:
+        slow = "" if bracket.before is None else f"at {lower:.4g}" if bracket.before <= lower else f"from {lower:.4g} up to {bracket.before:.4g}"
+        notes = (f"the requirements are missed {slow} rad/s as well",) if slow else ()
+        out = Bandwidth(bracket.holds, name, unit, bracket.outcome, said, missed(bracket.holds)[0], beyond, count, notes)
+    out.binding = line
+    return out
+
+
+def _missed(made: ClosedLoop | Sequence[ClosedLoop], requirements: Requirements, times: Array, at: str | None) -> tuple[ClosedLoop, Line | None]:
+    """The worst loop and the line that it fails, if any."""
+    loops = [made] if isinstance(made, ClosedLoop) else list(made)
+    if not loops or not all(isinstance(x, ClosedLoop) for x in loops):
+        raise BadArgument("make_loop", made, "a function that returns a ClosedLoop or several")
+    worst: tuple[ClosedLoop, Line | None] = (loops[0], None)
+    for loop in loops:
+        line = requirements.check(loop, times, at).worst
+        if line.status is Status.FAIL and (worst[1] is None or line.severity > worst[1].severity):
+            worst = loop, line
+    return worst
+
+
+def _shown(line: Line) -> str:
+    return f"found {line.found:.6g} {line.unit}, asked {line.sense} {line.asked:.6g} {line.unit}".replace("  ", " ") + (
+        f" ({line.place})" if line.place else ""
+    )
+
+
+# --- the search on stability -----------------------------------------------------------------------------------------
+
+
+def stable(loop: ClosedLoop, times: ArrayLike) -> bool:
+    """True if the roots that are not at zero are all inside at all times (m,) [s], dead time and sampling exact."""
+    return bool(Evidence(loop, times).judged.all())  # type: ignore[arg-type]
+
+
+def _limit(
+    make: Callable[[float], ClosedLoop], values: Array, loop: ClosedLoop, times: ArrayLike | None, name: str, unit: str, progress: bool
+) -> Limit:
+    t = _times(loop, times)
+    with shown(progress, name) as tick:
+
+        def holds(x: float) -> bool:
+            tick(x)
+            return stable(make(x), t)
+
+        bracket = first_loss(holds, values, skip=values[0] > 0)
+    if bracket.outcome is Outcome.NOWHERE:
+        there = make(float(values[0]))
+        said = (
+            f"not stable from {values[0]:g} to {values[-1]:g} {unit}; {_root(there, t)}" if values[0] else f"not stable as it is; {_root(there, t)}"
+        )
+        return Limit(0.0, name, unit, bracket.outcome, said, there, there, bracket.evaluations)
+    last = make(bracket.holds)
+    notes: tuple[str, ...] = ()
+    if bracket.before is not None:
+        notes += (f"not stable from {values[0]:.4g} up to {bracket.before:.4g} {unit} either",)
+    if Evidence(last, t).stability.drifts.any():
+        notes += ("the loop drifts: judged are the roots that are not at zero",)
+    if bracket.outcome is Outcome.UNLIMITED:
+        return Limit(np.inf, name, unit, bracket.outcome, f"stable up to {bracket.holds:g} {unit}", last, None, bracket.evaluations, notes)
+    beyond = make(bracket.lost)
+    return Limit(bracket.holds, name, unit, bracket.outcome, f"beyond it {_root(beyond, t)}", last, beyond, bracket.evaluations, notes)
+
+
+def _root(loop: ClosedLoop, t: Array) -> str:
+    evidence = Evidence(loop, t)
+    if evidence.nothing_else:
+        return "every root is at zero"
+    found = evidence.slowest_root()
+    kind = "a real root" if found.note == "real" else f"a pair of roots at {found.note}"
+    return f"{kind} is not inside ({found.where}, t = {found.when:.4g} s)"
+
+
+def _times(loop: ClosedLoop, times: ArrayLike | None) -> Array:
+    if times is not None:
+        return checks.times(times)
+    span = loop.ref.duration or loop.ref.period or 0.0
+    return np.zeros(1) if loop.ref.is_hold or not span else np.linspace(0.0, float(span), MOVING_TIMES)
+
+
+def _loop(loop: ClosedLoop) -> None:
+    if not isinstance(loop, ClosedLoop):
+        raise BadArgument("loop", loop, "a ClosedLoop")

@@ -1,0 +1,145 @@
+"""Searching for the value at which something is lost: a logarithmic scan, its first loss, then bisection. Nothing is assumed monotone.
+
+An interval of loss narrower than one step of the scan can be missed; the scan has ``STEPS`` a decade.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.errors import BadArgument
+
+if TYPE_CHECKING:
+    from mfc_analysis.loop import ClosedLoop
+
+Array = NDArray[np.float64]
+
+STEPS = 8  #: of the scan, a decade
+CLOSE = 1e-7  #: relative width at which bisection ends
+
+Tick = Callable[[float], None]
+
+
+class Outcome(Enum):
+    """How a search ended; the value is the sentence."""
+
+    FOUND = "the limit lies between two values that differ by less than 1e-6 of it"
+    UNLIMITED = "it holds up to the end of the search"
+    NOWHERE = "it holds nowhere in the search"
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """The last value at which it holds and the first at which it does not."""
+
+    holds: float  #: NaN if it holds nowhere
+    lost: float  #: NaN if it is never lost
+    outcome: Outcome
+    before: float | None  #: it does not hold up to this value of the scan either, below ``holds``
+    evaluations: int
+
+
+class Limit(float):
+    """A value found by a search: a float that says what binds there, with the loop that sits on it.
+
+    ``loop`` is the closed loop at the last value at which it holds: linearise, simulate or check it to see.
+    """
+
+    name: str  #: what was searched
+    unit: str
+    outcome: Outcome
+    binds: str  #: what is lost beyond, a sentence
+    loop: ClosedLoop
+    beyond: ClosedLoop | None  #: the loop at the first value at which it does not hold; None where there is none
+    evaluations: int  #: loops judged
+    notes: tuple[str, ...]
+
+    def __new__(
+        cls, value: float, name: str = "", unit: str = "", outcome: Outcome = Outcome.FOUND, binds: str = "", loop: ClosedLoop | None = None,
+        beyond: ClosedLoop | None = None, evaluations: int = 0, notes: tuple[str, ...] = (),
+    ) -> Self:  # fmt: skip
+        self = super().__new__(cls, value)
+        self.name, self.unit, self.outcome, self.binds = name, unit, outcome, binds
+        self.loop, self.beyond, self.evaluations, self.notes = loop, beyond, evaluations, notes  # type: ignore[assignment]
+        return self
+
+    def __getnewargs__(self) -> tuple[float]:
+        return (float(self),)
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        head = f"{self.name}: {float(self):.6g}{unit} ({self.evaluations} loops judged)"
+        return "\n".join([head, f"  {self.binds or self.outcome.value}", *(f"  note: {note}" for note in self.notes)])
+
+    __repr__ = __str__
+
+    @property
+    def replay(self) -> str:
+        """Python code that makes the loop on the limit again."""
+        from mfc_analysis.requirements.replay import replay
+
+        return str(replay(self.loop))
+
+
+def scan(lower: float, upper: float, steps: int = STEPS) -> Array:
+    """Values from ``lower`` to ``upper``, equally spaced on a logarithmic scale, ``steps`` a decade. Raises BadArgument."""
+    if not 0 < lower < upper < np.inf:
+        raise BadArgument("upper", upper, f"a finite number above {lower:g}")
+    return np.geomspace(lower, upper, max(2, int(np.ceil(steps * np.log10(upper / lower))) + 1))
+
+
+def first_loss(holds: Callable[[float], bool], values: Array, *, skip: bool = True) -> Bracket:
+    """The first loss along rising values, closed in by bisection.
+
+    ``skip``: values at the beginning at which it does not hold are passed over (``Bracket.before``); else they end the search.
+    """
+    count, last, before = 0, np.nan, None
+    for x in values:
+        count += 1
+        if holds(float(x)):
+            last = float(x)
+            continue
+        if np.isnan(last):
+            before = float(x)
+            if skip:
+                continue
+            return Bracket(np.nan, before, Outcome.NOWHERE, before, count)
+        low, high, more = bisected(holds, last, float(x))
+        return Bracket(low, high, Outcome.FOUND, before, count + more)
+    if np.isnan(last):
+        return Bracket(np.nan, float(values[0]), Outcome.NOWHERE, before, count)
+    return Bracket(last, np.nan, Outcome.UNLIMITED, before, count)
+
+
+def bisected(holds: Callable[[float], bool], low: float, high: float) -> tuple[float, float, int]:
+    """(low, high, evaluations): holds at low, not at high, a relative ``CLOSE`` apart. Geometric, from zero arithmetic."""
+    count = 0
+    while high - low > CLOSE * high:
+        middle = float(np.sqrt(low * high)) if low > 0.1 * high else 0.5 * (low + high)
+        count += 1
+        if holds(middle):
+            low = middle
+        else:
+            high = middle
+        if high < 1e-300:
+            break
+    return low, high, count
+
+
+@contextmanager
+def shown(progress: bool, title: str) -> Iterator[Tick]:
+    """A line on the terminal that tells the value being judged, if ``progress``."""
+    if not progress:
+        yield lambda _: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(title) as status:
+        yield lambda x: status.update(f"{title}: {x:.6g}")

@@ -1,0 +1,171 @@
+r"""A force loop over the stiffness of what it presses on: poles, verdicts and margins at many stiffnesses at once.
+
+A surface whose force is ``preload`` at the operating point enters the linear loop by its stiffness alone, and linearly: A, B, C, D of the
+opened loop are those of two stiffnesses and what lies between and beyond on the same line. So two linearisations serve any number of
+stiffnesses, and the analysis runs on all of them as one batch. The operating point stays where it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.analysis.spectrum import poles as poles_of
+from mfc_analysis.analysis.stability import Stability, growth, stability
+from mfc_analysis.analysis.system import OpenSystem, without_idle
+from mfc_analysis.dynamics.environment import stiffened
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths import checks
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.loop import ClosedLoop
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_APART = (1e3, 2e3)  #: [N/m] the two stiffnesses that are linearised: of the order of what is asked, so that rounding stays small
+
+
+@dataclass(frozen=True, eq=False)
+class StiffnessSweep:
+    """One loop at k stiffnesses, everything else kept."""
+
+    stiffness: Array  #: (k,) [N/m, Nm/rad]
+    opened: OpenSystem  #: the loop with every wire cut; its m points are the stiffnesses
+
+    @cached_property
+    def poles(self) -> NDArray[np.complex128]:
+        """(k, nx) closed-loop poles [1/s], slowest first; dead time left out."""
+        return poles_of(self.opened)
+
+    @cached_property
+    def stability(self) -> Stability:
+        """Stable, neutral, drifting at each stiffness, dead time included."""
+        return stability(without_idle(self.opened))
+
+    @property
+    def stable(self) -> Bools:
+        """(k,) the roots that are not at zero all decay, dead time included."""
+        return self.stability.nonzero_stable
+
+    @cached_property
+    def growth(self) -> Array:
+        """(k,) [1/s] largest real part of the roots that are not at zero, dead time included; of a sampled loop ln|z| / dt."""
+        return growth(self.opened)
+
+    def margins(self, at: str = "force") -> Margins:
+        """Margins at each stiffness: (k, n) figures. Raises UnknownPoint."""
+        from mfc_analysis.analysis.margins import margins
+
+        return margins(self.opened, at)
+
+
+def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0) -> StiffnessSweep:
+    """The loop at k stiffnesses of every surface that has a preload; surfaces without one stay as they are.
+
+    Args:
+        loop: a torque loop in contact. stiffness: (k,) [N/m, Nm/rad] > 0, to which those surfaces are scaled. time: [s] the point
+            of the reference, which stays the operating point: the force there is kept.
+
+    Raises:
+        BadArgument: no surface with a preload, or stiffnesses that are not positive.
+    """
+    k = checks.array("stiffness", np.atleast_1d(np.asarray(stiffness)), (None,), "stiffnesses > 0 [N/m]")
+    if np.any(k <= 0):
+        raise BadArgument("stiffness", stiffness, "stiffnesses > 0 [N/m]")
+    return _line(loop, time)(k)
+
+
+def _line(loop: ClosedLoop, time: float) -> Callable[[Array], StiffnessSweep]:
+    """Stiffnesses (k,) -> the loop there: two linearisations, made once."""
+    first = at_stiffness(loop, _APART[0], time).linearize([time])
+    one, two = first.opened, at_stiffness(loop, _APART[1], time).linearize([time], coordinates=first.coordinates).opened
+
+    def swept(k: Array) -> StiffnessSweep:
+        part = ((k - _APART[0]) / (_APART[1] - _APART[0]))[:, None, None]
+        A, B, C, D = (np.asarray(x + part * (y - x)) for x, y in ((one.A, two.A), (one.B, two.B), (one.C, two.C), (one.D, two.D)))
+        return StiffnessSweep(k, replace(one, times=np.full(len(k), float(time)), A=A, B=B, C=C, D=D))
+
+    return swept
+
+
+def at_stiffness(loop: ClosedLoop, stiffness: float, time: float = 0.0) -> ClosedLoop:
+    """The same loop with another stiffness [N/m] of every surface that has a preload, and the same force at the reference of ``time``.
+
+    Raises BadArgument where no surface has a preload.
+    """
+    surfaces = loop.equations.surfaces
+    if not any(s.f0.any() for s in surfaces):
+        raise BadArgument("environment", surfaces, "a surface with a preload: its stiffness is the one that is varied")
+    X = loop.robot.pose(loop.nominal([time]).q[0])
+    return replace(loop, environment=[stiffened(s, stiffness, X) if s.f0.any() else s for s in surfaces])
+
+
+@dataclass(frozen=True, eq=False)
+class StabilityMap:
+    """Growth of a loop over stiffness and a second quantity."""
+
+    stiffness: Array  #: (k,) [N/m]
+    values: Array  #: (g,) of the second quantity
+    growth: Array  #: (g, k) [1/s] largest real part of the roots that are not at zero; negative: stable
+
+    @property
+    def stable(self) -> Bools:
+        """(g, k)."""
+        return np.asarray(self.growth < 0)
+
+    def boundary(self) -> Array:
+        """(g,) [N/m] the lowest stiffness at which the loop loses stability, interpolated; inf: nowhere, NaN: unstable from the first on."""
+        out = np.full(len(self.values), np.inf)
+        for i, row in enumerate(self.growth):
+            lost = np.flatnonzero((row[:-1] < 0) & (row[1:] >= 0))
+            if lost.size:
+                j = int(lost[0])
+                a, b = np.arcsinh(row[j]), np.arcsinh(row[j + 1])
+                log = np.log(self.stiffness[j : j + 2])
+                out[i] = np.exp(log[0] + (log[1] - log[0]) * a / (a - b))
+            elif row[0] >= 0:
+                out[i] = np.nan
+        return out
+
+
+def stiffness_map(make_loop: Callable[[float], ClosedLoop], stiffness: ArrayLike, values: Sequence[float] | Array) -> StabilityMap:
+    """The loop ``make_loop(value)`` over stiffness x values: two linearisations for each value, whatever the number of stiffnesses.
+
+    Args:
+        make_loop: value (a gain, a lag, a dead time) -> loop in contact. stiffness: (k,) [N/m]. values: (g,).
+
+    Raises as ``over_stiffness``.
+    """
+    at = checks.array("values", values, (None,))
+    k = checks.array("stiffness", stiffness, (None,), "stiffnesses > 0 [N/m]")
+    return StabilityMap(k, at, np.stack([over_stiffness(make_loop(float(v)), k).growth for v in at]))
+
+
+def stable_up_to(loop: ClosedLoop, upper: float = 1e6, lower: float = 1.0) -> float:
+    """[N/m] the lowest stiffness in (lower, upper) at which the loop loses stability, to a relative 1e-6.
+
+    inf: stable throughout; NaN: unstable at ``lower``. The exact verdict, dead time included, on 20 stiffnesses and then between two of
+    them; a window of instability narrower than that can be missed. The same as ``design.max_stiffness`` in a tenth of its time.
+    Raises as ``over_stiffness``.
+    """
+    low, high = checks.number("lower", lower, low=0.0, strict=True), checks.number("upper", upper, low=0.0, strict=True)
+    swept, grid = _line(loop, 0.0), np.geomspace(low, high, 20)
+    stable = swept(grid).stable
+    if not stable[0]:
+        return float("nan")
+    if stable.all():
+        return float("inf")
+    j = int(np.argmin(stable))
+    low, high = float(grid[j - 1]), float(grid[j])
+    while high / low - 1 > 1e-6:
+        inner = np.geomspace(low, high, 5)[1:-1]
+        j = int(np.argmin([*swept(inner).stable, False]))
+        low, high = (low, *inner)[j], (*inner, high)[j]
+    return float(np.sqrt(low * high))

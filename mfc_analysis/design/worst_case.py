@@ -1,0 +1,197 @@
+"""What breaks first: the worst figure over ranges of parameters, by a grid and a local search, as a case that can be replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from math import inf, isnan
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.errors import BadArgument, MfcError, UnknownName
+from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths import checks
+from mfc_analysis.requirements.evidence import FIGURES, Evidence
+from mfc_analysis.requirements.replay import replay
+from mfc_analysis.requirements.requirements import KINDS
+
+Array = NDArray[np.float64]
+Case = dict[str, float]
+
+SHRINKS = 12  #: halvings of the local search's step
+WIDE = 100.0  #: a range whose ends have this ratio or more is spaced logarithmically
+
+
+@dataclass(frozen=True, eq=False)
+class WorstCase:
+    """The worst case found, convertible to float. ``value`` is NaN where the loop is not stable there."""
+
+    figure: str  #: what was minimised (maximised, for figures with an upper limit)
+    value: float  #: of the figure, in its own unit
+    case: Case  #: the parameters; ``build(**case)`` is the loop
+    loop: ClosedLoop
+    where: str  #: joint or channel
+    when: float | None  #: [s]
+    stable: bool
+    rightmost: float  #: [1/s] real part of the rightmost root there
+    evaluations: int
+    failed: tuple[tuple[Case, str], ...] = field(default=())  #: cases that could not be built or judged, with the reason
+    replay: str = ""  #: code that makes the loop again
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __str__(self) -> str:
+        case = ", ".join(f"{name} = {x:.6g}" for name, x in self.case.items())
+        place = ", ".join(p for p in (self.where, "" if self.when is None else f"t = {self.when:.4g} s") if p)
+        label, unit = (KINDS[self.figure].label, f" {KINDS[self.figure].unit}".rstrip()) if self.figure in KINDS else (self.figure, "")
+        head = f"{label} {self.value:.6g}{unit}" if self.stable else f"not stable: rightmost root {self.rightmost:.4g} 1/s"
+        lost = f"; {len(self.failed)} cases could not be judged" if self.failed else ""
+        return f"worst case of {self.evaluations}: {head} at {case} ({place}){lost}"
+
+    __repr__ = __str__
+
+
+@dataclass(frozen=True)
+class _Score:
+    """Orders cases: not stable before stable, then by the figure; the smaller, the worse."""
+
+    key: tuple[int, float]
+    value: float
+    where: str
+    when: float | None
+    rightmost: float
+
+
+def worst_case(
+    build: Callable[..., ClosedLoop],
+    ranges: Mapping[str, Sequence[float]],
+    times: ArrayLike = (0.0,),
+    figure: str | Callable[[ClosedLoop], float] = "phase_deg",
+    *,
+    at: str | None = None,
+    points: int = 5,
+) -> WorstCase:
+    """The worst case over ranges x path.
+
+    Args:
+        build: keyword parameters -> ``ClosedLoop``.
+        ranges: name -> (low, high), searched on a grid of ``points`` and then between; or three or more values, tried as they are.
+        times: (m,) [s] of the path. at: analysis point.
+        figure: a field of ``Requirements``, or a function loop -> number, the smaller the worse. NaN counts as worst.
+
+    Ends of a range a hundredfold apart are spaced logarithmically. A case that cannot be built is recorded in ``failed``.
+    Raises BadArgument, UnknownName; where no case can be judged the last reason is raised.
+    """
+    if isinstance(figure, str) and figure not in FIGURES:
+        raise UnknownName("figure", figure, FIGURES)
+    if not callable(build):
+        raise BadArgument("build", build, "a function of the parameters that returns a ClosedLoop")
+    if not isinstance(ranges, Mapping) or not ranges:
+        raise BadArgument("ranges", ranges, "at least one name with its range, such as {'payload': (0, 5)}")
+    if isinstance(points, bool) or not isinstance(points, int) or points < 2:
+        raise BadArgument("points", points, "a whole number >= 2")
+    t = checks.times(times)
+    axes = {name: _axis(name, given, points) for name, given in ranges.items()}
+    search = _Search(build, t, figure, at)
+    scored = [(search.score(dict(zip(axes, values, strict=True))), values) for values in product(*(a.values for a in axes.values()))]
+    judged = [(s, values) for s, values in scored if s is not None]
+    if not judged:
+        assert search.last is not None
+        raise search.last
+    best, start = min(judged, key=lambda pair: pair[0].key)
+    best, case = _local(search, axes, best, dict(zip(axes, map(float, start), strict=True)))
+    loop = build(**case)
+    name = figure if isinstance(figure, str) else getattr(figure, "__name__", "figure")
+    call = f"print(mfc.Requirements({name}={KINDS[name].low!r}).check(loop, times, at={at!r}))" if name in KINDS else ""
+    return WorstCase(
+        name, best.value, case, loop, best.where, best.when, best.key[0] > 0, best.rightmost, search.count, tuple(search.failed),
+        str(replay(loop, t, call)),
+    )  # fmt: skip
+
+
+@dataclass(eq=False)
+class _Search:
+    build: Callable[..., ClosedLoop]
+    times: Array
+    figure: str | Callable[[ClosedLoop], float]
+    at: str | None
+    count: int = 0
+    failed: list[tuple[Case, str]] = field(default_factory=list)
+    last: MfcError | None = None
+
+    def score(self, case: Mapping[str, float]) -> _Score | None:
+        """None where the case cannot be judged, which is recorded."""
+        self.count += 1
+        given = {name: float(x) for name, x in case.items()}
+        try:
+            return self._score(given)
+        except MfcError as why:
+            self.last = why
+            self.failed.append((given, str(why)))
+            return None
+
+    def _score(self, case: Case) -> _Score:
+        evidence = Evidence(self.build(**case), self.times, self.at)
+        root = evidence.slowest_root()
+        if not evidence.judged.all():
+            return _Score((0, -root.value), float("nan"), root.where, root.when, root.value)
+        if isinstance(self.figure, str):
+            found = evidence.found(self.figure)
+            value, where, when = found.value, found.where, found.when
+            worse = value if KINDS[self.figure].least else -value
+        else:
+            value, where, when = float(self.figure(evidence.loop)), "", None
+            worse = value
+        return _Score((1, -inf if isnan(worse) else worse), value, where, when, root.value)
+
+
+@dataclass(frozen=True)
+class _Axis:
+    values: tuple[float, ...]
+    low: float
+    high: float
+    log: bool
+    between: bool  #: values between those of the grid may be tried
+
+    def moved(self, x: float, part: float) -> float:
+        """x moved by a part of the range, within it."""
+        if self.log:
+            return float(np.clip(x * (self.high / self.low) ** part, self.low, self.high))
+        return float(np.clip(x + part * (self.high - self.low), self.low, self.high))
+
+
+def _axis(name: str, given: Any, points: int) -> _Axis:
+    takes = "(low, high) with low < high, or three or more values"
+    values = checks.array(f"ranges[{name!r}]", given, (None,), takes)
+    if values.size < 2 or (values.size == 2 and not values[0] < values[1]):
+        raise BadArgument(f"ranges[{name!r}]", given, takes)
+    if values.size > 2:
+        return _Axis(tuple(values.tolist()), float(values.min()), float(values.max()), False, False)
+    low, high = float(values[0]), float(values[1])
+    log = low > 0 and high / low >= WIDE
+    grid = np.geomspace(low, high, points) if log else np.linspace(low, high, points)
+    grid[0], grid[-1] = low, high
+    return _Axis(tuple(grid.tolist()), low, high, log, True)
+
+
+def _local(search: _Search, axes: Mapping[str, _Axis], best: _Score, case: Case) -> tuple[_Score, Case]:
+    """Pattern search: one parameter at a time, the step halved where none helps."""
+    part = 0.5 / max(len(a.values) - 1 for a in axes.values())
+    for _ in range(SHRINKS):
+        improved = True
+        while improved:
+            improved = False
+            for name, axis in axes.items():
+                if not axis.between:
+                    continue
+                for sign in (1.0, -1.0):
+                    tried = {**case, name: axis.moved(case[name], sign * part)}
+                    score = search.score(tried) if tried[name] != case[name] else None
+                    if score is not None and score.key < best.key:
+                        best, case, improved = score, tried, True
+        part /= 2
+    return best, case

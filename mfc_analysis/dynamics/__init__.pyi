@@ -1,0 +1,5 @@
+from .environment import Environment as Environment
+from .equations import Equations as Equations
+from .hardware import Hardware as Hardware
+from .operating_point import Nominal as Nominal, OperatingPoint as OperatingPoint
+from .quasi_static import QuasiStatic as QuasiStatic

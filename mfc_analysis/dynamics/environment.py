@@ -1,0 +1,215 @@
+"""Contact: a spring-damper surface fixed in the world, in chosen directions of a compliance frame (equation 9.19).
+
+Coordinates in the frame ``pose``: translations R^T (p_tool - p), rotations log3(R^T R_tool). Each axis points into the
+surface: force = stiffness x penetration + damping x rate + preload, and positive presses. The wrench acts at the tool
+origin; the moment of a rotation is the one that does the power of its coordinate.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import Dual, Vector, concatenate, matvec, times, value
+from mfc_analysis.maths.se3 import Pose, hat, log3, log_rate, pose_matrix
+from mfc_analysis.robots.primitives import Primitives
+
+Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True, eq=False)
+class Environment:
+    """A spring-damper environment.
+
+    Args:
+        stiffness: [N/m, Nm/rad] scalar, one per axis in the order of ``axes``, or (6, 6) in the compliance frame (then ``axes`` is not used).
+        damping: [Ns/m, Nms/rad] likewise.
+        pose: 4x4 pose of the compliance frame in the world; None: the tool's start pose.
+        axes: directions of the compliance frame, "z", "xyz", "rz", "xyrz", ...
+        preload: [N, Nm] the force at ``pose``, scalar or one per axis ((6,) with a (6, 6) stiffness).
+        one_sided: in simulation only: the surface pushes, never pulls; touch and lift are logged.
+
+    Raises:
+        BadArgument: a negative or non-finite number, a shape that does not fit the axes, an unknown axis, not a pose.
+    """
+
+    stiffness: float | Array
+    damping: float | Array = 0.0
+    pose: Array | None = None
+    axes: str = "z"
+    preload: float | Array = 0.0
+    one_sided: bool = False
+    index: tuple[int, ...] = field(init=False, repr=False)  #: the directions that resist, of x, y, z, rx, ry, rz
+    K: Array = field(init=False, repr=False)  #: (6, 6) stiffness in the compliance frame
+    B: Array = field(init=False, repr=False)  #: (6, 6) damping there
+    f0: Array = field(init=False, repr=False)  #: (6,) preload there
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        stiffness = checks.array("stiffness", self.stiffness)
+        full = stiffness.shape == (6, 6)
+        index = tuple(range(6)) if full else parse_axes(self.axes)
+        set_(self, "index", index)
+        set_(self, "K", _matrix("stiffness", self.stiffness, index, full))
+        set_(self, "B", _matrix("damping", self.damping, index, full))
+        preload = np.zeros(6)
+        preload[list(index)] = checks.per_joint("preload", self.preload, len(index))
+        set_(self, "f0", preload)
+        if self.pose is not None:
+            set_(self, "pose", pose_matrix("pose", self.pose))
+        if not isinstance(self.one_sided, (bool, np.bool_)):
+            raise BadArgument("one_sided", self.one_sided, "True or False")
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """The directions that resist."""
+        return tuple(AXES[i] for i in self.index)
+
+    def with_stiffness(self, stiffness: ArrayLike) -> Environment:
+        """The same surface with another stiffness."""
+        return replace(self, stiffness=checks.array("stiffness", stiffness))
+
+
+def parse_axes(axes: str) -> tuple[int, ...]:
+    """'xyrz' -> (0, 1, 5), in the order given. Raises BadArgument."""
+    takes = "directions from x, y, z, rx, ry, rz, each at most once, like 'z', 'xyz' or 'xyrz'"
+    if not isinstance(axes, str) or not re.fullmatch(r"(r?[xyz])+", axes):
+        raise BadArgument("axes", axes, takes)
+    index = tuple(AXES.index(a) for a in re.findall(r"r?[xyz]", axes))
+    if len(set(index)) < len(index):
+        raise BadArgument("axes", axes, takes)
+    return index
+
+
+def _matrix(argument: str, given: ArrayLike, index: tuple[int, ...], full: bool) -> Array:
+    raw = checks.array(argument, given)
+    if raw.shape == (6, 6):
+        if not full:
+            raise BadArgument(argument, "shape (6, 6)", "a scalar or one number per axis, unless the stiffness is (6, 6) too")
+        if np.abs(raw - raw.T).max() > 1e-9 * max(1.0, np.abs(raw).max()) or np.linalg.eigvalsh(raw)[0] < -1e-9 * max(1.0, np.abs(raw).max()):
+            raise BadArgument(argument, given, "a symmetric positive semidefinite (6, 6) matrix")
+        return raw
+    out = np.zeros((6, 6))
+    out[list(index), list(index)] = checks.per_joint(argument, given, len(index), low=0.0)
+    out.setflags(write=False)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """What the tool feels: its wrench on all surfaces (tool frame), and the force on each axis of each surface."""
+
+    wrench: Vector  #: F_tip (..., 6)
+    forces: tuple[Vector, ...]  #: a surface each: (..., 6) in its compliance frame
+
+
+def contact(surfaces: Sequence[Environment], model: Primitives, q: Vector, v: Vector, *, lose_contact: bool = False) -> Contact:
+    """F_tip of all surfaces at (q, v), plain or dual; ``lose_contact``: one-sided surfaces cannot pull."""
+    X = model.pose(q)
+    V = model.jacobian(q, v)
+    wrench: Vector = np.zeros((*X.p.shape[:-1], 6))
+    forces = []
+    for surface in surfaces:
+        part, force = _press(surface, X, V, lose_contact and surface.one_sided)
+        wrench = wrench + part if isinstance(part, Dual) else part + wrench
+        forces.append(force)
+    return Contact(wrench, tuple(forces))
+
+
+def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tuple[Vector, Vector]:
+    if max(surface.index) < 3:
+        return _press_along(surface, X, V, lose_contact)
+    assert surface.pose is not None
+    Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
+    lead = X.p.shape[:-1]
+    spin = None
+    if X.twist is not None:
+        spin = np.concatenate([np.zeros_like(X.twist[..., :3, :]), X.twist[..., 3:, :]], axis=-2)
+    turn = Pose(Re.T @ X.R, np.zeros((*lead, 3)), spin)  # rotation from the tool to the compliance frame
+    none = np.zeros((*lead, 3))
+    shift: Vector = (X.p - pe) @ Re
+    if X.twist is not None:
+        shift = Dual(value(shift), turn.R @ X.twist[..., :3, :])
+    rotates = any(i > 2 for i in surface.index)
+    angle: Vector = _part(turn.log(), 3, 6) if rotates else none
+    rate = concatenate([_part(turn.adjoint(concatenate([_part(V, 0, 3), none])), 0, 3), none])
+    if rotates:
+        full = concatenate([none, angle])
+        spun = log_rate(full, concatenate([none, _part(V, 3, 6)]))
+        rate = concatenate([_part(rate, 0, 3), _part(spun, 3, 6)])
+    force: Vector = matvec(surface.K, concatenate([shift, angle])) + matvec(surface.B, rate) + surface.f0
+    if lose_contact:
+        force = _push_only(force, surface.index)
+    linear = _part(turn.inverse().adjoint(concatenate([_part(force, 0, 3), none])), 0, 3)
+    moment: Vector = none
+    if rotates:
+        moment = _part(log_rate(-concatenate([none, angle]), concatenate([none, _part(force, 3, 6)])), 3, 6)
+    return concatenate([linear, moment]), force
+
+
+def _press_along(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tuple[Vector, Vector]:
+    """The same for a surface that resists translations only, whose rotations need no logarithm."""
+    assert surface.pose is not None
+    Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
+    K, B = surface.K[:3, :3], surface.B[:3, :3]
+    C = Re.T @ X.R  # from the tool to the compliance frame
+    v = value(V)[..., :3]
+    shift, rate = (X.p - pe) @ Re, times(C, v)
+    pushes = np.ones(3)
+    f = shift @ K + rate @ B + surface.f0[:3]
+    if lose_contact:
+        pushes = np.where(f > 0, 1.0, 0.0)
+        f = f * pushes
+    g = times(np.swapaxes(C, -1, -2), f)
+    none = np.zeros_like(f)
+    wrench, force = np.concatenate([g, none], axis=-1), np.concatenate([f, none], axis=-1)
+    if X.twist is None:
+        return wrench, force
+    linear, turn = X.twist[..., :3, :], X.twist[..., 3:, :]
+    dv = V.tangent[..., :3, :] if isinstance(V, Dual) else np.zeros_like(linear)
+    df = K @ (C @ linear) + B @ (C @ (dv - hat(v) @ turn))
+    if lose_contact:
+        df = pushes[..., None] * df
+    dg = np.swapaxes(C, -1, -2) @ df + hat(g) @ turn
+    zero = np.zeros_like(df)
+    return Dual(wrench, np.concatenate([dg, zero], axis=-2)), Dual(force, np.concatenate([df, zero], axis=-2))
+
+
+def _part(x: Vector, start: int, stop: int) -> Vector:
+    return x[slice(start, stop)] if isinstance(x, Dual) else np.asarray(x)[..., start:stop]
+
+
+def _push_only(force: Vector, index: tuple[int, ...]) -> Vector:
+    f = value(force)
+    pushes = np.ones(f.shape)
+    pushes[..., list(index)] = f[..., list(index)] > 0
+    return force * pushes
+
+
+def stiffened(surface: Environment, stiffness: float, X: ArrayLike) -> Environment:
+    """The surface scaled to this stiffness [N/m] with the same force where the tool is at pose X (4, 4)."""
+    assert surface.pose is not None
+    K = surface.K
+    diagonal = np.diag(K)
+    largest = float(diagonal[:3].max()) or float(diagonal[3:].max())
+    if largest > 0:
+        new = K * (stiffness / largest)
+    else:
+        new = np.zeros((6, 6))
+        new[list(surface.index), list(surface.index)] = stiffness
+    X = np.asarray(X, float)
+    Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
+    depth = np.concatenate([(X[:3, 3] - pe) @ Re, np.asarray(log3(Re.T @ X[:3, :3]))])
+    preload = surface.f0 + (K - new) @ depth
+    if np.asarray(surface.stiffness).shape == (6, 6):
+        return replace(surface, stiffness=new, preload=preload)
+    index = list(surface.index)
+    return replace(surface, stiffness=np.diag(new)[index], preload=preload[index])

@@ -1,0 +1,210 @@
+"""Exact Jacobians of ``equations.py`` at m points, by one evaluation with dual arrays: the closed A, or the loop with every wire cut.
+
+In coordinates "error" the joint states (q, v) are replaced by (X_e, V_e) of a tool law, or (e, e') of a joint law. The new
+rates are exact along a moving path: they are the linearised rates of the error itself, not T A T^-1. These states are the error
+from the reference as it is: an external reference input moves what the law sees, and jumps of it are no jumps of a state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, reference_channels
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
+from mfc_analysis.maths.dual import Dual, Vector, concatenate, value
+from mfc_analysis.maths.se3 import bracket, log_rate
+
+Array = NDArray[np.float64]
+Coordinates = Literal["state", "error"]
+
+
+class _Change(NamedTuple):
+    """Error coordinates: their first states, and the rates of these; dual over all columns."""
+
+    states: Vector  #: (m, k)
+    rates: Vector  #: (m, k)
+    replaced: int  #: how many leading states of x they stand for
+
+
+def _seed(at: Array, start: int, width: int) -> Dual:
+    tangent = np.zeros((*at.shape, width))
+    k = at.shape[-1]
+    tangent[..., np.arange(k), start + np.arange(k)] = 1.0
+    return Dual(at, tangent)
+
+
+def _tangent(x: Vector, shape: tuple[int, int], width: int) -> Array:
+    """Tangent (m, k, width) of a dual, zeros of a plain array."""
+    return x.tangent if isinstance(x, Dual) else np.zeros((*shape, width))
+
+
+def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state", *, lose_contact: bool = False) -> Array:
+    """A of the closed loop (m, nx, nx), dead time left out."""
+    if equations.algebraic:
+        return close_wires(open_system(equations, times, x, coordinates))[0]
+    nx = equations.nx
+    seeded = _seed(x, 0, nx)
+    flow = equations.flow(times, seeded, lose_contact=lose_contact)
+    rates = equations.join(flow.rates)
+    A = _finite(_tangent(rates, x.shape, nx))
+    if coordinates == "state":
+        return A
+    change = _error_coordinates(equations, times, seeded, flow.rates)
+    return _changed(A, change, nx)[0]
+
+
+def open_system(
+    equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state", arriving: Mapping[str, Array] | None = None
+) -> OpenSystem:
+    """The loop at (times, x) with every wire cut: external inputs (reference, disturbance, F_d) and all wires as columns.
+
+    ``arriving`` gives the values (m, k) behind a wire where they are not those in front of it (dead time on a moving path).
+    """
+    m, nx, n = len(times), equations.nx, equations.n
+    held = equations.flow(times, x)  # values on the wires
+    held_wires = Wires()
+    equations.flow(times, x, held_wires)
+    sizes = equations.wire_sizes()
+    references = reference_channels(equations)
+    names = [*references, *(f"disturbance_{j}" for j in equations.robot.joint_names)]
+    F_d = getattr(equations.law, "F_d", None)
+    if F_d is not None:
+        names += [f"F_d_{c}" for c in WRENCH]
+    nu, nw = len(names), sum(sizes.values())
+    width = nx + nu + nw
+    shift = _seed(np.zeros((m, len(references))), nx, width)
+    disturbance = _seed(np.zeros((m, n)), nx + len(references), width)
+    force = None if F_d is None else _seed(np.broadcast_to(np.asarray(F_d), (m, 6)), nx + len(references) + n, width)
+    inputs = Inputs(shift, disturbance, force)
+    cut: dict[str, Vector] = {}
+    wires_at: dict[str, slice] = {}
+    start = 0
+    for name, size in sizes.items():
+        signal = held.command if name == equations.actuator else held_wires.recorded[name]
+        signal = (arriving or {}).get(name, signal)
+        cut[name] = _seed(np.broadcast_to(value(signal), (m, size)), nx + nu + start, width)
+        wires_at[name] = slice(start, start + size)
+        start += size
+    wires = Wires(cut)
+    seeded = _seed(x, 0, width)
+    flow = equations.flow(times, seeded, wires, inputs)
+    outputs, output_names = _outputs(equations, seeded, flow.error, wires.recorded[equations.actuator], flow.F_tip)
+    rows = [_tangent(outputs, (m, len(output_names)), width)]
+    rows += [_tangent(wires.recorded[name], (m, size), width) for name, size in sizes.items()]
+    T = _tangent(equations.join(flow.rates), (m, nx), width)
+    C = np.concatenate(rows, axis=1)
+    _finite(T)
+    state_names = equations.state_names
+    if coordinates == "error":
+        change = _error_coordinates(equations, times, seeded, flow.rates)
+        T, C = _changed_open(T, C, change, nx)
+        state_names = (*_error_names(equations, change.replaced), *state_names[change.replaced :])
+    delay = np.zeros(nw)
+    if equations.hardware.delay is not None:
+        delay[wires_at[equations.actuator]] = float(equations.hardware.delay)
+    if equations.hardware.force_delay is not None:
+        delay[wires_at["force"]] = float(equations.hardware.force_delay)
+    joints = equations.robot.joint_names
+    channels = {"command": equations.law.command_channels(joints), "force": WRENCH}
+    return OpenSystem(
+        times=times,
+        A=T[:, :, :nx],
+        B=T[:, :, nx:],
+        C=C[:, :, :nx],
+        D=C[:, :, nx:],
+        state_names=state_names,
+        input_names=tuple(names),
+        output_names=output_names,
+        wires=wires_at,
+        wire_names=tuple(c for name in sizes for c in channels.get(name, joints)),
+        wire_delay=delay,
+        points=equations.law.opens_at,
+        integrals=equations.integrals,
+        plant_states=equations.plant_states,
+        law=type(equations.law).__name__,
+    )
+
+
+def _finite(A: Array) -> Array:
+    """A itself; BadArgument where it has overflowed: a state out of this world."""
+    if not np.isfinite(A).all():
+        raise BadArgument("the operating point", "derivatives that are not finite", "positions, velocities and gains of a size that a robot has")
+    return A
+
+
+def _outputs(equations: Equations, x: Dual, error: Vector, command: Vector, F_tip: Vector) -> tuple[Array | Dual, tuple[str, ...]]:
+    joints = equations.robot.joint_names
+    tool = equations.law.space == "tool"
+    q = equations.split(x)["q"]
+    parts: list[Vector] = [q, error, command]
+    names = [*(f"q_{j}" for j in joints), *((f"X_e_{c}" for c in TWIST) if tool else (f"e_{j}" for j in joints))]
+    names += [f"{'tau' if equations.actuator == 'torque' else 'u'}_{j}" for j in joints]
+    if equations.surfaces:
+        parts.append(F_tip)
+        names += [f"F_tip_{c}" for c in WRENCH]
+    return concatenate(parts), tuple(names)
+
+
+# --- error coordinates -------------------------------------------------------------------------------------------
+
+
+def _error_names(equations: Equations, replaced: int) -> tuple[str, ...]:
+    joints = equations.robot.joint_names
+    first = [f"X_e_{c}" for c in TWIST] if equations.law.space == "tool" else [f"e_{j}" for j in joints]
+    if replaced == len(joints):
+        return tuple(first)
+    return tuple(first + ([f"V_e_{c}" for c in TWIST] if equations.law.space == "tool" else [f"e_dot_{j}" for j in joints]))
+
+
+def _error_coordinates(equations: Equations, times: Array, x: Dual, rates: object) -> _Change:
+    assert isinstance(rates, dict)
+    s = equations.split(x)
+    q, torque = s["q"], equations.actuator == "torque"
+    ref = equations.reference(times)
+    if not isinstance(ref, ToolReference):
+        if torque:
+            return _Change(concatenate([ref.q - q, ref.v - s["v"]]), concatenate([ref.v - rates["q"], ref.a - rates["v"]]), 2 * equations.n)
+        return _Change(ref.q - q, ref.v - rates["q"], equations.n)
+    plant = equations.plant
+    E = plant.pose(q).inverse() @ ref.X
+    X_e, V_d = E.log(), E.adjoint(ref.V)
+    V = plant.jacobian(q, rates["q"])
+    V_e = V_d - V
+    X_e_dot = log_rate(X_e, E.inverse().adjoint(V_e))
+    if not torque:
+        return _Change(X_e, X_e_dot, equations.n)
+    V_dot = plant.jacobian(q, rates["v"]) + plant.jacobian_dot(q, s["v"])
+    V_e_dot = E.adjoint(ref.dV) - bracket(V, V_d) - V_dot
+    return _Change(concatenate([X_e, V_e]), concatenate([X_e_dot, V_e_dot]), 2 * equations.n)
+
+
+def _changed(A: Array, change: _Change, nx: int) -> tuple[Array, Array]:
+    """A in the new coordinates, and T = d(new states)/d(old states)."""
+    k = change.replaced
+    T = np.broadcast_to(np.eye(nx), A.shape).copy()
+    assert isinstance(change.states, Dual) and isinstance(change.rates, Dual)
+    T[:, :k] = change.states.tangent[..., :nx]
+    G = A.copy()
+    G[:, :k] = change.rates.tangent[..., :nx]
+    return np.swapaxes(np.linalg.solve(np.swapaxes(T, 1, 2), np.swapaxes(G, 1, 2)), 1, 2), T
+
+
+def _changed_open(rates: Array, outputs: Array, change: _Change, nx: int) -> tuple[Array, Array]:
+    """Rows of rates and outputs over [states, inputs, wires], with the new states as columns."""
+    k = change.replaced
+    assert isinstance(change.states, Dual) and isinstance(change.rates, Dual)
+    _, T = _changed(rates[:, :, :nx], change, nx)
+    new = rates.copy()
+    new[:, :k] = change.rates.tangent
+
+    def over(rows: Array) -> Array:
+        on_states = np.swapaxes(np.linalg.solve(np.swapaxes(T, 1, 2), np.swapaxes(rows[:, :, :nx], 1, 2)), 1, 2)
+        return np.concatenate([on_states, rows[:, :, nx:]], axis=2)
+
+    return over(new), over(outputs)

@@ -1,0 +1,204 @@
+"""Where a loop is linearised: on its reference with the integral trimmed, at its rest point, or along a simulation."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, solve_command_for_slots
+from mfc_analysis.dynamics.jacobians import closed_matrix
+from mfc_analysis.errors import MfcWarning, NotConverged, Unsupported
+from mfc_analysis.laws.joint_torque import InverseDynamics
+from mfc_analysis.maths.dual import Dual, value
+from mfc_analysis.trajectories.inverse_kinematics import follow
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class OperatingPoint:
+    """Where a loop is linearised, m times. Not necessarily an equilibrium: ``residual`` is the acceleration left over.
+
+    The linear loop speaks in deviations: states x - x0, inputs u - u0, outputs y - y0, and rates x' - x0'.
+    """
+
+    times: Array  #: (m,) [s]
+    x: Array  #: (m, nx) in the order of ``state_names``
+    residual: Array | None  #: (m, n) q'' - a_d [rad/s^2] (q' - v_d [rad/s] on velocity plants) left there; None: not yet computed
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal:
+    """The joint motion that the reference asks for."""
+
+    q: Array  #: (m, n)
+    v: Array
+    a: Array
+
+
+def nominal(equations: Equations, times: Array) -> Nominal:
+    """Joint motion (q, v, a), (m, n) each, that the reference asks for; tool references are followed from ``q_start`` (eq 9.14)."""
+    if equations.reference_source.space == "joint":
+        point = equations.reference_source(times)
+        return Nominal(*(np.ascontiguousarray(x) for x in point))
+    assert equations.q_start is not None
+    damping = float(getattr(equations.law, "damping", 0.0))
+    found = Nominal(*follow(equations.robot, equations.reference_source, equations.q_start, times, damping=damping))
+    limits = equations.robot.limits
+    over = np.maximum(found.q - limits.upper, limits.lower - found.q)
+    if np.any(over > 1e-9):
+        i, j = np.unravel_index(int(np.argmax(over)), over.shape)
+        text = f"the tool reference takes joint {equations.robot.joint_names[j]} {over[i, j]:.3g} beyond its limit at t = {times[i]:.4g} s"
+        warnings.warn(text, MfcWarning, stacklevel=4)
+    return found
+
+
+def on_reference(equations: Equations, times: Array) -> OperatingPoint:
+    """Operating points on the reference, integrals trimmed."""
+    return trimmed(equations, times, nominal(equations, times))
+
+
+def at_rest(equations: Equations) -> OperatingPoint:
+    """The rest point near a reference that holds. Raises Unsupported on a moving one, NotConverged."""
+    if not equations.reference_source.is_hold:
+        raise Unsupported("about", "equilibrium", "a reference at rest (Hold, ToolHold): a moving one has no rest point")
+    return rest_point(equations, on_reference(equations, np.zeros(1)), lambda x: closed_matrix(equations, np.zeros(1), x))
+
+
+def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPoint:
+    """(q, v) of the reference; integrals such that the law's torque is the plant's inverse dynamics there; force integral at 0.
+
+    Where Ki is singular z is the least-squares solution of smallest norm. Actuator lags are at that torque, filters at what they measure.
+    """
+    plant, hardware = equations.plant, equations.hardware
+    plant.times = equations.controller.times = times
+    q, v, a = nominal.q, nominal.v, nominal.a
+    slots: dict[str, Array] = {name: np.zeros((len(times), where.stop - where.start)) for name, (where, _) in equations.parts.items()}
+    slots["q"] = q
+    wanted = v
+    if equations.actuator == "torque":
+        slots["v"] = v
+        F = value(equations.touch(slots).wrench)
+        wanted = value(plant.rnea(q, v, a)) + value(plant.friction(v))
+        if equations.surfaces:
+            wanted = wanted + value(plant.jacobian_transpose(q, F))
+        encoder = v
+        if "theta" in slots:
+            slots["theta"] = q + wanted / hardware.per_joint("joint_stiffness", equations.n)
+            slots["omega"] = v
+            wanted = wanted + hardware.per_joint("motor_inertia", equations.n) * a
+        if "v_filter" in slots:
+            slots["v_filter"] = encoder
+        if "F_filter" in slots:
+            slots["F_filter"] = F
+    if "lag" in slots:
+        slots["lag"] = wanted
+    for name in ("z", "outer"):
+        if name in slots:
+            slots[name] = _trim(equations, times, slots, name, wanted)
+    return OperatingPoint(times, value(equations.join(slots)), None)
+
+
+def residual(equations: Equations, times: Array, x: Array, nominal: Nominal) -> Array:
+    """(m, n) what the law leaves over at x: q'' - a_d, or q' - v_d on velocity plants.
+
+    Elastic joints: the acceleration that the motors' torque lacks, for joints and motors together, as if the springs were rigid.
+    """
+    rates = _rates(equations, times, x)
+    if "theta" in equations.parts:
+        B = equations.hardware.per_joint("motor_inertia", equations.n)
+        both = equations.plant.at(np.ascontiguousarray(x[:, equations.parts["q"].where])).M + np.diag(B)
+        lacking = B * (rates["omega"] - nominal.a)
+        return np.asarray(np.linalg.solve(both, lacking[..., None])[..., 0] + rates["v"] - nominal.a)
+    return rates["v"] - nominal.a if equations.actuator == "torque" else rates["q"] - nominal.v
+
+
+def _rates(equations: Equations, times: Array, x: Array) -> dict[str, Array]:
+    """Rates with an actuator's lag left out: the command itself drives the joints, so that a residual shows at once."""
+    found = equations.flow(times, x)
+    if "lag" not in equations.parts:
+        return {name: value(r) for name, r in found.rates.items()}
+    slots = {name: value(s) for name, s in equations.split(x).items()}
+    slots["lag"] = value(found.command)
+    return {name: value(r) for name, r in equations.move(slots, slots["lag"], value(found.F_tip), 0.0).items()}
+
+
+def _trim(equations: Equations, times: Array, slots: dict[str, Array], name: str, wanted: Array) -> Array:
+    size = slots[name].shape[-1]
+    basis = np.eye(size)
+    if name == "outer":
+        assert isinstance(equations.law, InverseDynamics)
+        A = equations.law.matrices(equations.n)[0]
+        _, sigma, right = np.linalg.svd(A)
+        basis = right[sigma <= 1e-10 * max(1.0, float(sigma.max(initial=0.0)))].T  # states at rest: the outer loop's integrators
+        if basis.shape[1] == 0:
+            return slots[name]
+    tangent = np.broadcast_to(basis, (len(times), *basis.shape))
+    seeded: dict[str, Any] = {**slots, name: Dual(np.zeros((len(times), size)), tangent)}
+    F = value(equations.touch(slots).wrench)
+    action, _ = equations.control(times, seeded, F, Wires(), Inputs())
+    if not isinstance(action.command, Dual):
+        return slots[name]
+    return solve_command_for_slots(action.command.tangent, wanted - action.command.value) @ basis.T
+
+
+def rest_point(equations: Equations, start: OperatingPoint, closed: Any) -> OperatingPoint:
+    """The rest point near the start by Newton with line search: every rate zero, except of integrals that act on nothing.
+
+    ``closed(x)`` gives the closed-loop A (1, nx, nx) at x. Raises NotConverged where there is none near (an arm pushing into free space).
+    """
+    t = start.times[:1]
+    x = start.x[:1].copy()
+    if equations.actuator == "torque":
+        x[:, equations.parts["v"].where] = 0.0
+
+    def rates(x: Array) -> Array:
+        return np.asarray(equations.rates(t, x)[0], float)
+
+    f = rates(x)
+    for _ in range(60):
+        A = closed(x)[0]
+        keep = _acting(A, equations.integrals)
+        gap = keep @ f
+        scale = 1.0 + np.abs(keep @ A @ keep.T).max()
+        if np.abs(gap).max(initial=0.0) <= 1e-12 * scale:
+            return OperatingPoint(t, x, np.zeros((1, equations.n)))
+        step = keep.T @ np.linalg.lstsq(keep @ A @ keep.T, -gap, rcond=1e-13)[0]
+        size = 1.0
+        while True:
+            new = x + size * step
+            f_new = rates(new)
+            if np.linalg.norm(keep @ f_new) < np.linalg.norm(gap) * (1 - 1e-4 * size):
+                x, f = new, f_new
+                break
+            size /= 2
+            if size < 1e-6:
+                if np.abs(gap).max() <= 1e-8 * scale:
+                    return OperatingPoint(t, x, np.zeros((1, equations.n)))
+                worst = int(np.argmax(np.abs(keep.T @ gap)))
+                raise NotConverged(
+                    f"equilibrium: no rest point found near the reference; the rate of {equations.state_names[worst]} stays at {f[worst]:.3g} "
+                    "(a force with nothing to push against, or gains too weak to hold the arm up?)"
+                )
+    raise NotConverged(f"equilibrium: no rest point found near the reference after 60 Newton steps; largest rate left {np.abs(f).max():.3g}")
+
+
+def _acting(A: Array, integrals: tuple[int, ...]) -> Array:
+    """(k, nx) orthonormal rows: all state directions except the integrals that act on nothing."""
+    nx = A.shape[0]
+    index = np.array(integrals, int)
+    if index.size == 0:
+        return np.eye(nx)
+    _, sigma, right = np.linalg.svd(A[:, index])
+    rank = int(np.sum(sigma > 1e-12 * max(1.0, float(sigma.max(initial=0.0)))))
+    if rank == index.size:
+        return np.eye(nx)
+    rest = np.delete(np.arange(nx), index)
+    out = np.zeros((rest.size + rank, nx))
+    out[np.arange(rest.size), rest] = 1.0
+    out[rest.size :, index] = right[:rank]
+    return out

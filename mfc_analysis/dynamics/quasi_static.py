@@ -1,0 +1,97 @@
+"""Equation 9.20: slow motion, g + J^T F_tip = tau. The loop's force where inertia, friction and Coriolis are left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.dynamics.equations import Equations, Inputs, Wires
+from mfc_analysis.dynamics.jacobians import open_system
+from mfc_analysis.dynamics.operating_point import at_rest, nominal
+from mfc_analysis.errors import Unsupported
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import Dual, value
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class QuasiStatic:
+    """The quasi-static model of a force loop."""
+
+    force: Array  #: (6,) F_tip, tool frame [N, Nm]
+    error: Array  #: (6,) F_d - F_tip
+    q: Array  #: (n,) where the arm rests
+    equations: Equations
+    x: Array | None  #: (1, nx) the rest point; None without an environment
+
+    def departure(self, frequencies: ArrayLike) -> Array:
+        """(nf,) how far 9.20 is from 9.19 at w [rad/s]: largest singular value of (T_dynamic - T_static), the transfers from F_d to F_tip.
+
+        0 where the quasi-static model is exact, 1 where it is wrong by the whole force. Needs an environment.
+        """
+        w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies > 0 [rad/s]")
+        if not self.equations.surfaces or self.x is None:
+            raise Unsupported("frequencies", frequencies, "a loop with an environment: without one the tool is held rigidly")
+        opened = open_system(self.equations, np.zeros(1), self.x)
+        A, B, C, D = (M[0] for M in close_wires(opened))
+        inputs = [opened.input_names.index(f"F_d_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
+        outputs = [opened.output_names.index(f"F_tip_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
+        B, C, D = B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)]
+        static = _massless(self.equations, A, B, C, D)
+        out = np.empty(len(w))
+        for i, wi in enumerate(w):
+            dynamic = C @ np.linalg.solve(1j * wi * np.eye(len(A)) - A, B) + D
+            out[i] = np.linalg.norm(dynamic - static(1j * wi), 2)
+        return out
+
+
+def _massless(e: Equations, A: Array, B: Array, C: Array, D: Array) -> Callable[[complex], NDArray[np.complex128]]:
+    """Transfer F_d -> F_tip with M q'' left out of the torque balance: the rows of v' say 0 = torques."""
+    v = e.parts["v"].where
+    left = np.eye(len(A))
+    left[v, v] = 0.0
+
+    def at(s: complex) -> NDArray[np.complex128]:
+        found = np.linalg.lstsq(s * left - A, B.astype(complex), rcond=1e-12)[0]
+        return np.asarray(C @ found + D)
+
+    return at
+
+
+def quasi_static(e: Equations) -> QuasiStatic:
+    """The rest force of g + J^T F_tip = tau (9.20) under the loop's own law.
+
+    With an environment: at the rest point of the loop (its rest point satisfies 9.20 exactly). Without one the tool is held
+    rigidly in all six directions at the reference: F_tip solves J^T F_tip = tau(F_tip) - g by least squares; with a force
+    integral F_tip = F_d. Raises Unsupported for velocity laws, NotConverged.
+    """
+    if e.actuator != "torque":
+        raise Unsupported("law", type(e.law).__name__, "a law with torque inputs")
+    F_d = np.asarray(getattr(e.law, "F_d", np.zeros(6)), float)
+    if e.surfaces:
+        rest = at_rest(e)
+        force = np.array(value(e.flow(0.0, rest.x[0]).F_tip))
+        return QuasiStatic(force, F_d - force, rest.x[0][: e.n], e, rest.x)
+    asked = nominal(e, np.zeros(1))
+    slots: dict[str, Array] = {name: np.zeros((1, where.stop - where.start)) for name, (where, _) in e.parts.items()}
+    slots["q"] = asked.q
+    if "theta" in slots:
+        slots["theta"] = asked.q
+    if "z_f" in slots:
+        return QuasiStatic(F_d.copy(), np.zeros(6), asked.q[0], e, None)
+    F = Dual(np.zeros((1, 6)), np.eye(6)[None])
+    seeded = dict(slots)
+    if "F_filter" in seeded:
+        seeded["F_filter"] = F  # type: ignore[assignment]
+    action, _ = e.control(np.zeros(1), seeded, F, Wires(), Inputs())
+    tau = action.command
+    J_T = e.plant.at(asked.q).J_T[0]
+    left = value(tau)[0] - value(e.plant.gravity(asked.q))[0]
+    slope = tau.tangent[0] if isinstance(tau, Dual) else np.zeros((e.n, 6))
+    force = np.linalg.lstsq(J_T - slope, left, rcond=1e-12)[0]
+    return QuasiStatic(force, F_d - force, asked.q[0], e, None)

@@ -1,0 +1,102 @@
+"""The state a simulation starts from: an error or joint position asked for, integrals, and what hardware holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.dynamics.operating_point import nominal, on_reference
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import value
+
+Array = NDArray[np.float64]
+
+
+def start_state(
+    equations: Equations,
+    t: float,
+    initial_error: ArrayLike,
+    q: ArrayLike | None,
+    v: ArrayLike | None,
+    integral: Any,
+    force_integral: ArrayLike,
+    actuator: ArrayLike | None,
+) -> Array:
+    """(nx,) the state a run starts from: see ``ClosedLoop.simulate``. Raises BadArgument."""
+    e, n = equations, equations.robot.n
+    asked = nominal(equations, np.array([t]))
+    slots: dict[str, Array] = {name: np.zeros(where.stop - where.start) for name, (where, _) in e.parts.items()}
+    slots["q"] = checks.array("q", q, (n,)) if q is not None else _displaced(equations, t, asked.q[0], initial_error)
+    if "v" in slots:
+        slots["v"] = checks.array("v", v, (n,)) if v is not None else asked.v[0]
+    elif v is not None:
+        raise BadArgument("v", v, f"nothing for {type(equations.law).__name__}: under a velocity law the joint velocity is not a state")
+    if "z" in slots:
+        slots["z"] = _integral(equations, t, integral, slots["z"].size)
+    elif not (isinstance(integral, str) and integral == "trimmed"):
+        _nothing("integral", integral, f"{type(equations.law).__name__} has no integral of the error here")
+    if "z_f" in slots:
+        slots["z_f"] = np.array(checks.per_joint("force_integral", force_integral, 6))
+    else:
+        _nothing("force_integral", force_integral, f"{type(equations.law).__name__} has no integral of the force error here")
+    F = value(e.touch(slots).wrench)
+    if "theta" in slots:
+        static = value(e.plant.rnea(slots["q"], slots["v"], asked.a[0])) + value(e.plant.jacobian_transpose(slots["q"], F))
+        slots["theta"], slots["omega"] = slots["q"] + static / e.hardware.per_joint("joint_stiffness", n), np.array(slots["v"])
+    if "v_filter" in slots:
+        slots["v_filter"] = np.array(slots["omega"] if "omega" in slots and e.hardware.feedback == "motor" else slots["v"])
+    if "F_filter" in slots:
+        slots["F_filter"] = np.array(F)
+    if "lag" in slots:
+        if actuator is None:
+            slots["lag"] = np.array(value(e.limited(e.flow(t, value(e.join(slots))).command)))
+        else:
+            slots["lag"] = checks.array("actuator", actuator, (n,))
+    elif actuator is not None:
+        raise BadArgument("actuator", actuator, "nothing here: the actuators have no lag (Hardware(torque_lag=) or velocity_lag)")
+    return value(e.join(slots))
+
+
+def _nothing(argument: str, given: ArrayLike, why: str) -> None:
+    """Raise BadArgument unless the start of a state that is not there is 0."""
+    if np.any(checks.array(argument, given) != 0):
+        raise BadArgument(argument, given, f"0: {why}")
+
+
+def _integral(equations: Equations, t: float, integral: Any, size: int) -> Array:
+    if isinstance(integral, str):
+        checks.choice("integral", integral, ("trimmed",))
+        where = equations.parts["z"].where
+        return on_reference(equations, np.array([t])).x[0, where]
+    return np.array(checks.per_joint("integral", integral, size))
+
+
+def _displaced(equations: Equations, t: float, q_d: Array, initial_error: ArrayLike) -> Array:
+    """The joint position whose error is the one asked for: e = q_d - q, or X_e = log6(X^-1 X_d) for tool laws."""
+    n = equations.robot.n
+    error = checks.array("initial_error", initial_error)
+    tool = equations.law.space == "tool"
+    if not np.any(error):
+        return q_d
+    if tool and error.ndim == 0:
+        error = np.full(6, float(error))
+    if tool and error.shape == (6,) and not (np.abs(error).max() < 1e6 and np.linalg.norm(error[3:]) < np.pi - 1e-3):
+        raise BadArgument("initial_error", initial_error, "X_e with a rotation of less than pi - 1e-3 rad")
+    if tool and error.shape == (6,):
+        from mfc_analysis.maths.se3 import exp6
+        from mfc_analysis.trajectories.inverse_kinematics import follow
+        from mfc_analysis.trajectories.tool import ToolLine
+
+        ref = equations.reference(t)
+        X_d = ref.X.matrix  # type: ignore[union-attr]
+        line = ToolLine(X_d, X_d @ exp6(-error), 1.0)
+        return np.array(follow(equations.robot, line, q_d, np.array([1.0]))[0][0])
+    if error.ndim == 1 and error.shape != (n,):
+        raise BadArgument("initial_error", f"shape {error.shape}", f"a scalar or shape ({n},)" + (" or X_e of shape (6,)" if tool else ""))
+    if error.ndim > 1:
+        raise BadArgument("initial_error", f"shape {error.shape}", f"a scalar or shape ({n},)")
+    return np.asarray(q_d - error)

@@ -1,0 +1,5 @@
+"""Gains from a bandwidth, a natural frequency, a crossover or a settling time, and what they achieve."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

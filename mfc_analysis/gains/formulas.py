@@ -1,0 +1,367 @@
+r"""Gains from what a loop should do: bandwidth, natural frequency, crossover or settling time.
+
+Every helper takes exactly one of
+
+- ``bandwidth`` [rad/s]: the frequency where T = L/(1 + L) falls to -3 dB (1/sqrt 2),
+- ``natural_frequency`` [rad/s]: of the pair of poles (of all three for a PID, of the one for a P),
+- ``crossover`` [rad/s]: where abs(L) = 1,
+- ``settling_time`` [s]: the last time at which the step response of T is 2 % away from 1,
+
+and returns ``Gains``, which unpack into a law: ``ComputedTorque(**pid(bandwidth=hertz(4)))``. What the finished loop achieves is
+measured on its polynomials, not copied from the question. L is the loop the gains were made for, in negative feedback:
+
+================  =====================================  ==========================================================
+``p``, ``pi``     1/(inertia s) (9.2-9.5)                s + kp;  s^2 + kp s + ki
+``pd``, ``pid``   1/(inertia s^2) (9.8-9.16)             s^2 + kd s + kp;  (s^2 + 2 damping w s + w^2)(s + w)
+``force_pi``      one mass on a spring (9.22-9.23)       the polynomials of ``force_pi``
+================  =====================================  ==========================================================
+
+Sources: chapter, eqs. 9.2-9.4, 9.8-9.13, 9.22-9.23; Siciliano et al., Robotics: Modelling, Planning and Control, section 8.3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.gains.force_loop import force_design
+from mfc_analysis.gains.result import Achieved, DampingMatrix, Gains, Value
+from mfc_analysis.gains.scalar_loop import LoopFigures, loop_figures
+from mfc_analysis.maths import checks
+
+if TYPE_CHECKING:
+    from mfc_analysis.robots.robot import Robot
+
+Array = NDArray[np.float64]
+
+__all__ = ["Achieved", "DampingMatrix", "Gains", "cartesian_damping", "force_pi", "joint_pid", "p", "pd", "pi", "pid"]
+
+_ASKED = ("bandwidth", "natural_frequency", "crossover", "settling_time")
+_DEFINITIONS = {
+    "bandwidth": "the frequency where T = L/(1 + L) falls to -3 dB (1/sqrt 2), rad/s",
+    "natural_frequency": "the natural frequency of the dominant poles, rad/s",
+    "crossover": "the frequency where |L| = 1, rad/s",
+    "settling_time": "the last time at which the step response of T = L/(1 + L) is 2 % away from 1, s",
+}
+
+
+def p(
+    *,
+    bandwidth: float | None = None,
+    natural_frequency: float | None = None,
+    crossover: float | None = None,
+    settling_time: float | None = None,
+    inertia: ArrayLike = 1.0,
+) -> Gains:
+    """Proportional gain on the integrator 1/(inertia s), laws 9.2 and 9.5: kp = w inertia, one pole at -w.
+
+    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] (all w here) and ``settling_time`` [s].
+    ``inertia``: scalar or array > 0. Raises ``BadArgument``: none or two of them asked, or a number that is not positive.
+    """
+    return _design("p", _one_of(bandwidth, natural_frequency, crossover, settling_time), 1.0, inertia)
+
+
+def pi(
+    *,
+    bandwidth: float | None = None,
+    natural_frequency: float | None = None,
+    crossover: float | None = None,
+    settling_time: float | None = None,
+    damping: float = 1.0,
+    inertia: ArrayLike = 1.0,
+) -> Gains:
+    """PI gains on the integrator 1/(inertia s), laws 9.3-9.5: kp = 2 damping w inertia, ki = w^2 inertia.
+
+    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them;
+    ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0. Raises ``BadArgument`` as ``p``.
+    """
+    return _design("pi", _one_of(bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
+
+
+def pd(
+    *,
+    bandwidth: float | None = None,
+    natural_frequency: float | None = None,
+    crossover: float | None = None,
+    settling_time: float | None = None,
+    damping: float = 1.0,
+    inertia: ArrayLike = 1.0,
+) -> Gains:
+    """PD gains on the double integrator 1/(inertia s^2), laws 9.8-9.16: kp = w^2 inertia, kd = 2 damping w inertia.
+
+    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them;
+    ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
+    Raises ``BadArgument`` as ``p``.
+    """
+    return _design("pd", _one_of(bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
+
+
+def pid(
+    *,
+    bandwidth: float | None = None,
+    natural_frequency: float | None = None,
+    crossover: float | None = None,
+    settling_time: float | None = None,
+    damping: float = 1.0,
+    inertia: ArrayLike = 1.0,
+) -> Gains:
+    """PID gains on the double integrator 1/(inertia s^2), laws 9.8-9.16, the third pole at the natural frequency w.
+
+    kd = (1 + 2 damping) w inertia, kp = (1 + 2 damping) w^2 inertia, ki = w^3 inertia; with damping 1 a triple pole at -w.
+    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them;
+    ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
+    Raises ``BadArgument`` as ``p``.
+    """
+    return _design("pid", _one_of(bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
+
+
+def joint_pid(
+    robot: Robot,
+    q: Any,
+    *,
+    bandwidth: float | None = None,
+    natural_frequency: float | None = None,
+    crossover: float | None = None,
+    settling_time: float | None = None,
+    damping: float = 1.0,
+) -> Gains:
+    """PID gains of independent joints, law 9.8: those of ``pid`` times the effective inertia M_jj(q) of each joint, armature included.
+
+    Args:
+        robot: its mass matrix gives the effective inertia.
+        q: (n,) a pose; (m, n) poses; or a joint reference ``ref(t)`` with ``period`` or ``duration``: the largest inertia of each
+            joint along it.
+        bandwidth, natural_frequency, crossover, settling_time: exactly one, as for ``pid``; damping: 0.001 to 1000.
+
+    Returns gains of shape (n,) [N m/rad, N m/(rad s), N m s/rad; N and m for prismatic joints]. Raises ``BadArgument`` as ``pid``, and for a q of
+    another shape or a reference without an end. Gravity, friction and coupling are not in the loop these gains are made for.
+    """
+    inertia, smallest, where = _joint_inertia(robot, q)
+    asked = _one_of(bandwidth, natural_frequency, crossover, settling_time)
+    made = _design("pid", asked, damping, inertia)
+    notes = [f"inertia {where}: {np.array2string(inertia, precision=5, separator=', ')} kg m^2 (kg for prismatic joints), armature included"]
+    if np.any(smallest < inertia * (1 - 1e-9)):
+        loops = zip(*(np.asarray(made[name]) for name in ("kd", "kp", "ki")), smallest, strict=True)
+        light = [loop_figures([kd, kp, ki], [lightest, 0, 0, 0], settle=False) for kd, kp, ki, lightest in loops]
+        notes.append(f"where a joint is lightest its bandwidth is up to {max(f.bandwidth for f in light):.4g} rad/s")
+    return Gains(made.gains, made.units, made.formula, made.definition, f"{made.loop}, I = M_jj(q) {where}", made.achieved, tuple(notes))
+
+
+def force_pi(
+    *,
+    bandwidth: float | None = None,
+    natural_frequency: float | None = None,
+    crossover: float | None = None,
+    settling_time: float | None = None,
+    stiffness: float,
+    mass: float,
+    lag: float = 0.0,
+    friction: float = 0.0,
+    damping: float = 1.0,
+) -> Gains:
+    r"""Force gains of 9.22-9.23 for one mass that pushes on a spring through a first-order torque lag: kfp, kfi and kdamp.
+
+    .. math:: m T s^4 + (m + b T) s^3 + (b + k_{damp} + k_e T) s^2 + k_e (1 + k_{fp}) s + k_e k_{fi}
+
+    The polynomial is placed exactly: a pair (damping, w), a pole at -p, and with a lag a fourth pole that the lag dictates. Slow
+    loops take kfp = 0 and p < w (integral force control, the gentle choice on a stiff surface); where that is too slow, p = w and
+    kfp > 0. ``natural_frequency`` always asks for p = w. L is the loop at the force sensor, environment in place.
+
+    Args:
+        bandwidth, natural_frequency, crossover, settling_time: exactly one, as the module defines them [rad/s, s].
+        stiffness: of the environment [N/m] > 0. mass: effective, along the contact [kg] > 0. lag: of the torque [s] >= 0.
+        friction: viscous, of the arm [N s/m] >= 0. damping: ratio of the pair, 0.001 to 1000.
+
+    Returns gains that unpack into ``DampedForcePI(F_d, **gains)``. Raises ``BadArgument``: as ``pid``, and with the reason where no gains
+    >= 0 attain what is asked. Source: chapter, eqs. 9.22-9.23.
+    """
+    name, value = _one_of(bandwidth, natural_frequency, crossover, settling_time)
+    k = checks.number("stiffness", stiffness, low=1e-9, high=1e12)
+    m = checks.number("mass", mass, low=1e-9, high=1e9)
+    T, b = checks.number("lag", lag, low=0.0, high=1e6), checks.number("friction", friction, low=0.0, high=1e12)
+    zeta = checks.number("damping", damping, low=1e-3, high=1e3)
+    found = force_design(name, value, k, m, T, b, zeta)
+    f = found.figures
+    notes = [f"from F_d to F_tip (the feedforward included) the bandwidth is {found.tracking_bandwidth:.4g} rad/s"]
+    low, high = found.stiffness_range
+    above = "any stiffness above it" if high == math.inf else f"{high:.4g} N/m, {high / k:.3g} times this stiffness"
+    between = f"from a stiffness of {low:.4g} N/m to {above}" if low > 0 or high < math.inf else "on any stiffness"
+    notes.append(f"with these gains stable {between}")
+    notes.append("in free space the speed ramps (kfi > 0): keep contact, or limit the time")
+    return Gains(
+        {"kfp": found.kfp, "kfi": found.kfi, "kdamp": found.kdamp},
+        {"kfp": "-", "kfi": "1/s", "kdamp": "N s/m"},
+        "poles of m T s^4 + (m + b T) s^3 + (b + kdamp + k_e T) s^2 + k_e (1 + kfp) s + k_e kfi placed at a pair (damping, w) and -p; "
+        f"w = {found.natural_frequency:.6g} rad/s, p = {found.pole:.6g} rad/s, damping = {zeta:g}",
+        f"{name} = {value:.6g}: {_DEFINITIONS[name]}",
+        f"L at the force sensor: mass {m:g} kg on k_e = {k:g} N/m, torque lag {T:g} s, friction {b:g} N s/m",
+        Achieved(f.bandwidth, f.crossover, f.settling_time, found.natural_frequency, found.damping, f.phase_deg),
+        tuple(notes),
+    )
+
+
+def cartesian_damping(robot: Robot, q: ArrayLike, stiffness: ArrayLike, ratio: ArrayLike = 1.0) -> DampingMatrix:
+    r"""Damping matrix for a Cartesian stiffness, by double diagonalisation with the task inertia Lambda(q).
+
+    .. math:: \Lambda = Q Q^T, \quad K = Q \,\mathrm{diag}(w^2)\, Q^T, \quad D = 2 Q \,\mathrm{diag}(\zeta w)\, Q^T
+
+    so that Lambda x'' + D x' + K x = 0 falls into six modes, each of damping ratio ``ratio``.
+
+    Args:
+        q: (n,) pose.
+        stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, N m/rad], tool frame (linear, angular).
+        ratio: >= 0, scalar or (6,) in the order of rising modal frequency.
+
+    Returns ``DampingMatrix``: kp the (6, 6) stiffness, kd the (6, 6) damping [N s/m, N m s/rad]. Raises ``BadArgument``; ``NearSingular``
+    where the robot has no task inertia. Source: Albu-Schaeffer, Ott, Frese, Hirzinger, ICRA 2003, "Cartesian impedance control of
+    redundant robots".
+    """
+    from scipy.linalg import eigh
+
+    takes = "a positive number, (6,) positive numbers or a symmetric positive definite (6, 6) matrix"
+    K = checks.array("stiffness", stiffness, takes=takes)
+    K = K * np.eye(6) if K.ndim == 0 else np.diag(K) if K.shape == (6,) else np.array(K)
+    if K.shape != (6, 6) or np.abs(K - K.T).max() > 1e-9 * np.abs(K).max() or np.linalg.eigvalsh(K)[0] <= 0:
+        raise BadArgument("stiffness", stiffness, takes)
+    zeta = checks.per_joint("ratio", ratio, 6, low=0.0)
+    Lambda = np.asarray(robot.task_inertia(checks.array("q", q, (robot.n,))))
+    w2, V = eigh(K, Lambda)  # V^T Lambda V = I, V^T K V = diag(w2): Q = V^-T = Lambda V
+    Q = Lambda @ V
+    D = 2.0 * (Q * (zeta * np.sqrt(w2))) @ Q.T
+    unit = {"kp": "N/m, N m/rad", "kd": "N s/m, N m s/rad"}
+    return DampingMatrix(
+        {"kp": K, "kd": (D + D.T) / 2},
+        unit,
+        "Lambda = Q Q^T, K = Q diag(w^2) Q^T, D = 2 Q diag(ratio w) Q^T",
+        f"damping ratio {np.array2string(np.unique(zeta), precision=4)} of each mode of Lambda(q) x'' + D x' + K x = 0",
+        f"Lambda(q) x'' + D x' + K x = 0, modes at {np.array2string(np.sqrt(w2), precision=4, separator=', ')} rad/s",
+        None,
+    )
+
+
+_FORMULAS: Mapping[str, tuple[str, str, Callable[[float], dict[str, tuple[float, int]]]]] = {
+    # kind: formula, loop, damping -> {gain: (factor, power of w)}
+    "p": ("kp = w I", "L = kp/(I s)", lambda z: {"kp": (1.0, 1)}),
+    "pi": ("kp = 2 damping w I, ki = w^2 I", "L = (kp s + ki)/(I s^2)", lambda z: {"kp": (2 * z, 1), "ki": (1.0, 2)}),
+    "pd": ("kp = w^2 I, kd = 2 damping w I", "L = (kd s + kp)/(I s^2)", lambda z: {"kp": (1.0, 2), "kd": (2 * z, 1)}),
+    "pid": (
+        "kp = (1 + 2 damping) w^2 I, ki = w^3 I, kd = (1 + 2 damping) w I",
+        "L = (kd s^2 + kp s + ki)/(I s^3)",
+        lambda z: {"kp": (1 + 2 * z, 2), "ki": (1.0, 3), "kd": (1 + 2 * z, 1)},
+    ),
+}
+_UNITS = {"p": {"kp": "1/s"}, "pi": {"kp": "1/s", "ki": "1/s^2"}}
+_UNIT_INERTIA = {"kp": "1/s^2", "ki": "1/s^3", "kd": "1/s"}
+_PER_INERTIA = {"kp": "N m/rad or N/m", "ki": "N m/(rad s) or N/(m s)", "kd": "N m s/rad or N s/m"}
+
+
+def _one_of(*given: float | None) -> tuple[str, float]:
+    asked = {name: value for name, value in zip(_ASKED, given, strict=True) if value is not None}
+    if len(asked) != 1:
+        raise BadArgument(" or ".join(_ASKED), ", ".join(asked) or "none of them", "exactly one of the four")
+    name, value = next(iter(asked.items()))
+    return name, checks.number(name, value, low=1e-9, high=1e9)
+
+
+def _polynomials(kind: str, gains: Mapping[str, float], inertia: float) -> tuple[list[float], list[float]]:
+    """Numerator and denominator of L."""
+    order = {"p": ("kp",), "pi": ("kp", "ki"), "pd": ("kd", "kp"), "pid": ("kd", "kp", "ki")}[kind]
+    return [gains[name] for name in order], [inertia, *[0.0] * len(order)]
+
+
+@lru_cache(maxsize=256)
+def _unit_figures(kind: str, damping: float) -> LoopFigures:
+    """Figures of the loop whose natural frequency and inertia are 1: everything else is a change of time scale."""
+    return loop_figures(*_polynomials(kind, {name: factor for name, (factor, _) in _FORMULAS[kind][2](damping).items()}, 1.0))
+
+
+def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayLike) -> Gains:
+    zeta = checks.number("damping", damping, low=1e-3, high=1e3)
+    I = checks.array("inertia", inertia)
+    if np.any(I < 1e-12) or np.any(I > 1e12) or I.size == 0:
+        raise BadArgument("inertia", inertia, "positive numbers, 1e-12 to 1e12")
+    name, value = asked
+    unit = _unit_figures(kind, zeta)
+    figure = {"natural_frequency": 1.0, "bandwidth": unit.bandwidth, "crossover": unit.crossover, "settling_time": unit.settling_time}[name]
+    w = figure / value if name == "settling_time" else value / figure
+    formula, loop, factors = _FORMULAS[kind]
+    gains: dict[str, Value] = {}
+    for gain, (factor, power) in factors(zeta).items():
+        scaled = factor * w**power * I
+        gains[gain] = float(scaled) if I.ndim == 0 else scaled
+    plain = I.ndim == 0 and float(I) == 1.0
+    units = _UNITS.get(kind) or (_UNIT_INERTIA if plain else _PER_INERTIA)
+    how = f"; w = {w:.6g} rad/s" + ("" if kind == "p" else f", damping = {zeta:g}") + (", I = 1" if plain else "")
+    asked_for = f"{name} = {value:.6g}: {_DEFINITIONS[name]}"
+    return Gains(gains, {g: units[g] for g in gains}, formula + how, asked_for, loop, _achieved(kind, gains, I))
+
+
+def _achieved(kind: str, gains: Mapping[str, Value], I: Array) -> Achieved:
+    """Figures of the loops with these gains, one for each inertia."""
+    found = []
+    for index in np.ndindex(I.shape):
+        one = {name: float(np.asarray(value)[index]) for name, value in gains.items()}
+        inertia = float(I[index])
+        f = loop_figures(*_polynomials(kind, one, inertia))
+        per = {name: value / inertia for name, value in one.items()}
+        w, zeta = _pair(kind, per)
+        found.append((f.bandwidth, f.crossover, f.settling_time, w, zeta, f.phase_deg))
+    columns = np.array(found).reshape(*I.shape, 6)
+    return Achieved(*(float(c) if I.ndim == 0 else c for c in np.moveaxis(columns, -1, 0)))
+
+
+def _pair(kind: str, per: Mapping[str, float]) -> tuple[float, float]:
+    """Natural frequency and damping of the dominant poles, from gains per inertia."""
+    if kind == "p":
+        return per["kp"], 1.0
+    if kind == "pid":
+        w = math.cbrt(per["ki"])
+        return w, (per["kd"] / w - 1) / 2
+    square, linear = (per["ki"], per["kp"]) if kind == "pi" else (per["kp"], per["kd"])
+    return math.sqrt(square), linear / (2 * math.sqrt(square))
+
+
+def _joint_inertia(robot: Robot, q: Any) -> tuple[Array, Array, str]:
+    """Largest and smallest M_jj, (n,) each, and a phrase that says where."""
+
+    def diagonal(poses: Array) -> Array:
+        return np.array(np.diagonal(np.asarray(robot.mass(poses)), axis1=-2, axis2=-1))
+
+    if callable(q):
+        if getattr(q, "space", "joint") != "joint":
+            raise BadArgument("q", q, "a joint reference; follow a tool reference with trajectories.from_tool_path first")
+        end = getattr(q, "period", None) or getattr(q, "duration", None)
+        end = 0.0 if end is None and getattr(q, "is_hold", False) else end
+        if end is None:
+            raise BadArgument("q", q, "a pose, or a joint reference with a period or a duration")
+        grid = np.linspace(0.0, float(end), 401) if end else np.zeros(1)
+        along = diagonal(np.asarray(q(grid)[0]))
+        return _refined(lambda t: diagonal(np.asarray(q(t)[0])), grid, along), along.min(axis=0), "at its largest along the trajectory"
+    poses = checks.array("q", q, takes=f"a pose of shape ({robot.n},), poses of shape (m, {robot.n}), or a joint reference")
+    if poses.ndim not in (1, 2) or poses.shape[-1] != robot.n or poses.size == 0:
+        raise BadArgument("q", f"shape {poses.shape}", f"a pose of shape ({robot.n},), poses of shape (m, {robot.n}), or a joint reference")
+    along = diagonal(np.atleast_2d(poses))
+    return along.max(axis=0), along.min(axis=0), "at this pose" if poses.ndim == 1 else "at its largest over the poses"
+
+
+def _refined(inertia: Callable[[float], Array], grid: Array, along: Array) -> Array:
+    """The maxima along the trajectory, sought between the neighbours of the largest samples."""
+    from scipy.optimize import minimize_scalar
+
+    worst = along.max(axis=0)
+    for j, k in enumerate(along.argmax(axis=0)):
+        left, right = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
+        if right > left and along[:, j].max() > along[:, j].min():
+            near = minimize_scalar(partial(_minus, inertia, j), bounds=(left, right), method="bounded", options={"xatol": 1e-9 * (right - left)})
+            worst[j] = max(worst[j], -near.fun)
+    return np.asarray(worst)
+
+
+def _minus(inertia: Callable[[float], Array], j: int, t: float) -> float:
+    return -float(inertia(t)[j])

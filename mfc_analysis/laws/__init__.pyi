@@ -1,0 +1,20 @@
+from . import constraints as constraints
+from .catalogue import LAWS as LAWS, by_equation as by_equation
+from .force import DampedForcePI as DampedForcePI, ForcePI as ForcePI, OpenLoopForce as OpenLoopForce
+from .gain import Gain as Gain
+from .hybrid import HybridMotionForce as HybridMotionForce
+from .joint_torque import (
+    ComputedTorque as ComputedTorque,
+    InverseDynamics as InverseDynamics,
+    JointPID as JointPID,
+    TorqueFeedforward as TorqueFeedforward,
+)
+from .law import Action as Action, Law as Law, Measured as Measured, Slot as Slot, Tap as Tap
+from .task_torque import TaskComputedTorque as TaskComputedTorque
+from .velocity import (
+    TaskVelocity as TaskVelocity,
+    VelocityFeedforward as VelocityFeedforward,
+    VelocityFeedforwardPI as VelocityFeedforwardPI,
+    VelocityP as VelocityP,
+    VelocityPI as VelocityPI,
+)

@@ -1,0 +1,3 @@
+from .coupling import Coupling as Coupling, coupling as coupling
+from .decentralised import Decentralised as Decentralised
+from .linearization import Linearization as Linearization, linearize as linearize

@@ -1,0 +1,134 @@
+"""The same gains on the diagonal of M: what an independent-joint design believes (beside what really happens, on the whole of M)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.dynamics.jacobians import open_system
+from mfc_analysis.dynamics.operating_point import OperatingPoint
+from mfc_analysis.errors import Unsupported
+from mfc_analysis.maths.dual import Dual
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.margins import Margins
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Decentralised:
+    """n separate loops at m times, k states each: M_jj q'' + b_j q' + (dg/dq)_jj q = tau under the law's own diagonal."""
+
+    times: Array  #: (m,) [s]
+    joints: tuple[str, ...]  #: n
+    A: Array  #: (m, n, k, k)
+    b: Array  #: (m, n, k) column of the joint's torque (velocity) command
+    c: Array  #: (m, n, k) row of the command: command = c x
+    integrals: tuple[int, ...] = ()  #: which of the k states are integrals of the law
+
+    def poles(self) -> NDArray[np.complex128]:
+        """(m, n, k) closed-loop poles [1/s] of each joint alone, slowest first."""
+        found = np.linalg.eigvals(self.A).astype(complex)
+        return np.take_along_axis(found, np.argsort(-found.real, axis=-1, kind="stable"), axis=-1)
+
+    def __str__(self) -> str:
+        slowest = self.poles().real.max(axis=-1)
+        k = int(np.argmax(slowest.max(axis=0)))
+        return f"{len(self.joints)} separate loops at {len(self.times)} times: slowest pole {slowest.max():.4g} 1/s ({self.joints[k]})"
+
+    __repr__ = __str__
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """(m, n) every root of a joint alone decays, those of integrals that act on nothing left out."""
+        from mfc_analysis.analysis.stability import stability
+
+        return np.asarray(stability(self._alone()).stable.reshape(self.b.shape[:2]))
+
+    def _alone(self) -> OpenSystem:
+        """The joints' own loops as m n systems of one wire each."""
+        m, n, k = self.b.shape
+        b, c = self.b.reshape(m * n, k, 1), self.c.reshape(m * n, 1, k)
+        return OpenSystem(
+            times=np.arange(m * n, dtype=float),
+            A=self.A.reshape(m * n, k, k) - b @ c,
+            B=b,
+            C=c,
+            D=np.zeros((m * n, 1, 1)),
+            state_names=tuple(map(str, range(k))),
+            input_names=(),
+            output_names=(),
+            wires={"torque": slice(0, 1)},
+            wire_names=("joint",),
+            wire_delay=np.zeros(1),
+            points=("torque",),
+            integrals=self.integrals,
+        )
+
+    def margins(self) -> Margins:
+        """Margins (m, n) of each joint's own loop at its torque (velocity) command; dead time left out. NaN where that joint alone is unstable."""
+        from mfc_analysis.analysis.margins import margins
+
+        m, n, _ = self.b.shape
+        found = margins(self._alone(), "torque")
+        per_joint = {f.name: getattr(found, f.name).reshape(m, n) for f in fields(found) if f.name not in ("times", "at", "channels")}
+        whole = {name: per_joint.pop(name) for name in ("stable", "drifts")}
+        return replace(
+            found, times=self.times, channels=self.joints, stable=whole["stable"].all(axis=1), drifts=whole["drifts"].any(axis=1), **per_joint
+        )
+
+
+def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
+    """The loop joint by joint. Raises Unsupported for tool and force laws, sampled loops, and an n x n outer loop."""
+    law, n = equations.law, equations.n
+    if law.space == "tool" or law.senses_force or hasattr(law, "F_d") or equations.hardware.sample_time is not None or equations.algebraic:
+        raise Unsupported("decentralised", type(law).__name__, "a joint-space law in continuous time: a loop for each joint")
+    system = open_system(equations, point.times, point.x)
+    m = len(point.times)
+    picks: list[Array] = []
+    integrals: list[int] = []
+    for where, slot in equations.parts.values():
+        size = where.stop - where.start
+        if size % n or (slot.name == "outer" and law.system[3].shape != (1, 1)):  # type: ignore[attr-defined]
+            raise Unsupported("decentralised", type(law).__name__, "an outer loop that is the same for each joint")
+        if slot.integral:
+            integrals += range(sum(p.shape[1] for p in picks), sum(p.shape[1] for p in picks) + size // n)
+        picks.append(where.start + np.arange(size).reshape(n, -1))
+    index = np.concatenate(picks, axis=1)  # (n, k) the states of each joint
+    wire = system.wires[equations.actuator]
+    torque = equations.actuator == "torque"
+    keep = np.zeros(system.nw, bool)
+    keep[wire] = True
+    A_law, B_law, C_law, _ = close_wires(system, keep)
+    b = np.stack([B_law[:, i, system.nu + j] for j, i in enumerate(index)], axis=1)
+    c = np.stack([C_law[:, system.ny + j, :][:, i] for j, i in enumerate(index)], axis=1)
+    A = np.stack([A_law[:, i[:, None], i] for i in index], axis=1)
+    if torque:
+        q, v = (equations.parts[name].where for name in ("q", "v"))
+        x = point.x
+        plant = equations.plant
+        M = np.diagonal(plant.at(np.ascontiguousarray(x[:, q])).M, axis1=1, axis2=2)
+        g = plant.gravity(Dual(np.ascontiguousarray(x[:, q]), np.broadcast_to(np.eye(n), (m, n, n))))
+        friction = plant.friction(Dual(x[:, v], np.broadcast_to(np.eye(n), (m, n, n))))
+        assert isinstance(g, Dual) and isinstance(friction, Dual)
+        stiffness, viscous = np.diagonal(g.tangent, axis1=1, axis2=2), np.diagonal(friction.tangent, axis1=1, axis2=2)
+        A[:, :, 1, :] = 0.0
+        A[:, :, 1, 0], A[:, :, 1, 1] = -stiffness / M, -viscous / M
+        names = list(equations.parts)
+        if "theta" in names:
+            hardware = equations.hardware
+            K = hardware.per_joint("joint_stiffness", n)
+            D = hardware.per_joint("joint_damping", n) if hardware.joint_damping is not None else np.zeros(n)
+            for column, gain in ((0, -K), (1, -D), (2, K), (3, D)):
+                A[:, :, 1, column] += gain / M
+        elif "lag" in names:
+            A[:, :, 1, -1] += 1 / M
+        else:
+            b[:, :, 1] = 1 / M
+    return Decentralised(point.times, equations.robot.joint_names, A + b[..., :, None] * c[..., None, :], b, c, tuple(integrals))

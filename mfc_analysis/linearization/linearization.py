@@ -1,0 +1,387 @@
+"""The loop linearised at all times at once: what a user asks of it, each a line or two that call down into ``analysis``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.analysis.spectrum import Pole, pole_table, poles
+from mfc_analysis.analysis.stability import Stability, stability
+from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.dynamics.jacobians import Coordinates, closed_matrix, open_system
+from mfc_analysis.dynamics.operating_point import OperatingPoint, at_rest, nominal, on_reference, residual
+from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint, Unsupported
+from mfc_analysis.linearization.decentralised import Decentralised, decentralised
+from mfc_analysis.maths import checks
+from mfc_analysis.robots.primitives import WARN_CONDITION, Configuration
+from mfc_analysis.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.disk import DiskMargin
+    from mfc_analysis.analysis.floquet import TransientGrowth
+    from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.analysis.steps import Step
+
+Array = NDArray[np.float64]
+About = Literal["reference", "equilibrium", "simulation"]
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """A closed loop linearised exactly at m operating points; nx states, in deviations from them.
+
+    A, B, C, D, ``poles``, ``system`` and ``loop`` leave dead time out (``delay``, ``force_delay`` [s] say how much);
+    ``stable``, margins, frequency responses and ``delay_roots`` are exact. With a sample time everything is discrete
+    (``dt`` > 0, poles in z) and dead time is inside.
+    """
+
+    equations: Equations
+    point: OperatingPoint
+    coordinates: Coordinates
+    about: About
+    run: Simulation | None = None  #: what ``about="simulation"`` follows
+
+    def again(self, times: Array) -> Linearization:
+        """The same loop, operating points and coordinates at other times (m,) [s]."""
+        return linearize(self.equations, times, self.about, self.coordinates, self.run)
+
+    # --- matrices ------------------------------------------------------------------------------------------------
+
+    @property
+    def times(self) -> Array:
+        """(m,) [s]."""
+        return self.point.times
+
+    @cached_property
+    def residual(self) -> Array:
+        """(m, n) acceleration [rad/s^2] (velocity plants: velocity [rad/s]) left over at the operating points; 0 at an equilibrium."""
+        if self.point.residual is not None:
+            return self.point.residual
+        return residual(self.equations, self.times, self.point.x, nominal(self.equations, self.times))
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]; 0 for a continuous loop."""
+        return float(self.equations.hardware.sample_time or 0.0)
+
+    @property
+    def delay(self) -> float:
+        """Dead time [s] of the actuators that A, poles, system and loop leave out (0 in a sampled loop: it is inside)."""
+        return 0.0 if self.dt else float(self.equations.hardware.delay or 0.0)
+
+    @property
+    def force_delay(self) -> float:
+        """Dead time [s] of the force sensor that A, poles, system and loop leave out."""
+        return 0.0 if self.dt else float(self.equations.hardware.force_delay or 0.0)
+
+    @cached_property
+    def A(self) -> Array:
+        """(m, nx, nx) of the closed loop."""
+        if self.dt or "opened" in self.__dict__:
+            return self._closed[0]
+        return closed_matrix(self.equations, self.times, self.point.x, self.coordinates)
+
+    @property
+    def B(self) -> Array:
+        """(m, nx, nu): from reference, disturbance at the joints, F_d."""
+        return self._closed[1]
+
+    @property
+    def C(self) -> Array:
+        """(m, ny, nx): to q, error, commanded torque, F_tip."""
+        return self._closed[2]
+
+    @property
+    def D(self) -> Array:
+        """(m, ny, nu)."""
+        return self._closed[3]
+
+    @cached_property
+    def _closed(self) -> tuple[Array, Array, Array, Array]:
+        return close_wires(self.opened)
+
+    @cached_property
+    def opened(self) -> OpenSystem:
+        """The loop with every wire cut: what ``analysis`` works on."""
+        out = open_system(self.equations, self.times, self.point.x, self.coordinates)
+        if self.dt:
+            from mfc_analysis.analysis.sampled import sampled
+
+            out = sampled(out, self.dt)
+        return out
+
+    def _opened_for(self, *at: str | None) -> OpenSystem:
+        """``opened``; for the encoder in state coordinates, where the rate wire is the derivative of the position wire."""
+        if "position" in at and self.coordinates == "error" and not self.dt:
+            return self._opened_in_state
+        return self.opened
+
+    @cached_property
+    def _opened_in_state(self) -> OpenSystem:
+        return open_system(self.equations, self.times, self.point.x, "state")
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """nx names; with a sample time they include the samples under way."""
+        return self.opened.state_names
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """nu names of the external inputs."""
+        return self.opened.input_names
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """ny names of the external outputs."""
+        return self.opened.output_names
+
+    # --- poles ---------------------------------------------------------------------------------------------------
+
+    def poles(self) -> NDArray[np.complex128]:
+        """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; dead time left out."""
+        return poles(self.reduced)
+
+    @cached_property
+    def reduced(self) -> OpenSystem:
+        return self.opened if self.dt else _only_a(self)
+
+    @cached_property
+    def stability(self) -> Stability:
+        """Stable, neutral, drifting at each time, dead time included."""
+        dead = self.delay or self.force_delay
+        return stability(self.opened if dead or self.dt else _only_a(self))
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """(m,) every root that is not neutral decays; exact with dead time."""
+        return self.stability.stable
+
+    @property
+    def neutral(self) -> NDArray[np.int64]:
+        """(m,) semisimple roots at zero (z = 1): free positions."""
+        return self.stability.neutral
+
+    @property
+    def drifts(self) -> NDArray[np.bool_]:
+        """(m,) a zero root in a Jordan chain: a position that slides, a speed that ramps."""
+        return self.stability.drifts
+
+    def pole_table(self, index: int = 0) -> tuple[Pole, ...]:
+        """Poles at one time with natural frequency, damping ratio and time constant, slowest first."""
+        return pole_table(self.reduced, self._index(index))
+
+    def delay_roots(self, count: int = 6) -> NDArray[np.complex128]:
+        """(m, count) rightmost characteristic roots [1/s] with dead time, exact, rightmost first."""
+        from mfc_analysis.analysis.delay.roots import delay_roots
+
+        return delay_roots(self.opened, count)
+
+    # --- python-control ------------------------------------------------------------------------------------------
+
+    def system(self, index: int = 0) -> Any:
+        """The closed loop at one time as a ``control.StateSpace`` with named signals; dead time left out."""
+        import control
+
+        i = self._index(index)
+        A, B, C, D = (M[i] for M in self._closed)
+        return control.ss(A, B, C, D, self.dt, states=list(self.state_names), inputs=list(self.input_names), outputs=list(self.output_names))
+
+    def loop(self, index: int = 0, at: str | None = None, channel: int | str | None = None) -> Any:
+        """L(s) at one time, broken at ``at`` in one channel (default: the first), the others closed; negative feedback; dead time left out.
+
+        Returns a ``control.StateSpace`` with one input and output.
+        Raises UnknownPoint, and UnknownName for a channel that isn't there.
+        """
+        import control
+
+        from mfc_analysis.analysis.channels import channels
+
+        at = self._at(at)
+        found = channels(self._opened_for(at).at(slice(self._index(index), self._index(index) + 1)), at)
+        names = tuple(found.names)
+        j = self._channel(channel, names)
+        A, b, c = found.A[0], found.B[0][:, j], found.C[0][j]
+        through = 1.0 + float(found.H0[0, j])  # S = through + c (sI - A)^-1 b, and L = 1/S - 1
+        return control.ss(
+            A - np.outer(b, c) / through, b[:, None] / through, -c[None, :] / through, [[1 / through - 1]], self.dt,
+            inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"],
+        )  # fmt: skip
+
+    # --- margins and responses -----------------------------------------------------------------------------------
+
+    def margins(self, at: str | None = None) -> Margins:
+        """One-loop-at-a-time margins at ``at``, the others closed: (m, n) figures. Raises UnknownPoint."""
+        from mfc_analysis.analysis.margins import margins
+
+        at = self._at(at)
+        return margins(self._opened_for(at), at)
+
+    def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None) -> DiskMargin:
+        """Disk margin of all loops at once (m,), at one point or several together. Raises UnknownPoint."""
+        from mfc_analysis.analysis.disk import disk_margin
+
+        points = tuple(self._at(one) for one in at) if isinstance(at, (list, tuple)) and at else (self._at(at),)  # type: ignore[arg-type]
+        grid = None if frequencies is None else checks.array("frequencies", frequencies, (None,))
+        return disk_margin(self._opened_for(*points), points[0] if len(points) == 1 else points, grid)
+
+    def frequency_response(self, frequencies: ArrayLike, at: str | None = None) -> NDArray[np.complex128]:
+        """(m, n, nf) loop transfers L_i(j w) at w [rad/s], each broken alone; dead time included. Raises UnknownPoint."""
+        from mfc_analysis.analysis.frequency.response import frequency_response
+
+        w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies >= 0 [rad/s]")
+        if np.any(w < 0):
+            raise BadArgument("frequencies", frequencies, "finite frequencies >= 0 [rad/s]")
+        at = self._at(at)
+        return frequency_response(self._opened_for(at), w, at)
+
+    def step(self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None) -> Step:
+        """Unit step response of the closed loop at one time, with its figures. Raises UnknownName."""
+        from mfc_analysis.analysis.steps import step
+
+        return step(self.opened, self._index(index), input, output, duration)
+
+    def decentralised(self) -> Decentralised:
+        """The same gains on diag(M) and diag(dg/dq): n separate loops. Raises Unsupported for laws that are not joint by joint."""
+        return decentralised(self.equations, self.point)
+
+    def transient_growth(self) -> TransientGrowth:
+        """Largest singular value of the transition matrix Phi(t, 0) along the path (linear time-varying)."""
+        return _transient_growth(self)
+
+    # --- small things --------------------------------------------------------------------------------------------
+
+    def _at(self, at: str | None) -> str:
+        if at is not None and not isinstance(at, str):
+            raise UnknownPoint(repr(at), type(self.equations.law).__name__, self.equations.law.opens_at)
+        return self.equations.actuator if at is None else at
+
+    def _index(self, index: int) -> int:
+        m = len(self.times)
+        if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not -m <= index < m:
+            raise BadArgument("index", index, f"an integer from 0 to {m - 1}: which of the {m} times")
+        return int(index) % m
+
+    @staticmethod
+    def _channel(channel: int | str | None, names: tuple[str, ...]) -> int:
+        if channel is None:
+            return 0
+        if isinstance(channel, str):
+            if channel not in names:
+                raise UnknownName("channel", channel, names)
+            return names.index(channel)
+        if isinstance(channel, bool) or not isinstance(channel, (int, np.integer)) or not 0 <= channel < len(names):
+            raise BadArgument("channel", channel, f"an integer from 0 to {len(names) - 1} or one of {', '.join(names)}")
+        return int(channel)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __str__(self) -> str:
+        stable = self.stable
+        t = self.times
+        when = f"t = {t[0]:g} s" if len(t) == 1 else f"{len(t)} times from {t[0]:g} to {t[-1]:g} s"
+        kind = f"discrete, dt = {self.dt:g} s" if self.dt else "continuous"
+        return (
+            f"{self.equations.law} on {self.equations.robot.name}, linearised at {when} "
+            f"({kind}; coordinates {self.coordinates!r})\n"
+            f"stable at {int(stable.sum())} of {len(stable)} times; neutral roots {int(self.neutral.max(initial=0))}; "
+            f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {np.abs(self.residual).max(initial=0.0):.3g}"
+        )
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        from mfc_analysis.notebook import table
+
+        title, *notes = str(self).splitlines()
+        worst = int(np.argmin(self.stable))
+        rows = [(f"{p.value:.5g}", f"{p.frequency:.4g}", f"{p.damping:.3g}", f"{p.time_constant:.4g}") for p in self.pole_table(worst)]
+        return table(f"{title}; poles at t = {self.times[worst]:g} s", ("pole [1/s]", "wn [rad/s]", "damping", "time constant [s]"), rows, notes)
+
+
+def linearize(
+    equations: Equations, times: Array, about: About = "reference", coordinates: Coordinates | None = None, run: Simulation | None = None
+) -> Linearization:
+    """The linearisation behind ``ClosedLoop.linearize``: times (m,) [s], strictly increasing.
+
+    Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
+    """
+    checks.choice("about", about, ("reference", "equilibrium", "simulation"))
+    point = _points(equations, times, about, run)
+    arm = _regular(equations, point)
+    return Linearization(equations, point, _coordinates(equations, coordinates, arm), about, run)
+
+
+def _points(equations: Equations, times: Array, about: About, run: Simulation | None) -> OperatingPoint:
+    if about == "reference":
+        return on_reference(equations, times)
+    if about == "equilibrium":
+        return OperatingPoint(times, np.repeat(at_rest(equations).x, len(times), axis=0), np.zeros((len(times), equations.n)))
+    if run is None or getattr(run, "state_names", None) != equations.state_names:
+        raise BadArgument("simulation", run, 'a Simulation of this loop to linearise along, with about="simulation"')
+    return run.operating_point(times)
+
+
+def _regular(equations: Equations, point: OperatingPoint) -> Configuration:
+    """The arm at the operating points; for a tool law without damping, warned about or refused here where it is near-singular."""
+    plant = equations.plant
+    arm = plant.at(np.ascontiguousarray(point.x[:, : equations.n]))
+    if equations.law.space == "tool" and not getattr(equations.law, "damping", 0.0):
+        plant.times = point.times
+        arm.check_regular()
+    return arm
+
+
+def _coordinates(equations: Equations, asked: Coordinates | None, arm: Configuration) -> Coordinates:
+    tool, square = equations.law.space == "tool", equations.n == 6
+    if asked is None:
+        return "error" if tool and square and np.all(arm.sigma[:, 0] < WARN_CONDITION * arm.sigma[:, -1]) else "state"
+    checks.choice("coordinates", asked, ("state", "error"))
+    if asked == "error" and tool and not square:
+        takes = f"a square Jacobian: {equations.robot.name} has {equations.n} joints, so the error does not determine the state"
+        raise Unsupported("coordinates", "error", takes)
+    return asked
+
+
+def _only_a(lin: Linearization) -> OpenSystem:
+    """The closed A alone, as a system without wires: enough for poles and stability without dead time."""
+    A = lin.A
+    m, nx = A.shape[0], A.shape[1]
+    names = lin.equations.state_names
+    empty = np.zeros
+    return OpenSystem(
+        times=lin.times, A=A, B=empty((m, nx, 0)), C=empty((m, 0, nx)), D=empty((m, 0, 0)), state_names=names, input_names=(), output_names=(),
+        wires={}, wire_names=(), wire_delay=np.zeros(0), points=(), integrals=lin.equations.integrals, plant_states=lin.equations.plant_states,
+        law=type(lin.equations.law).__name__, dt=0.0,
+    )  # fmt: skip
+
+
+def _transient_growth(lin: Linearization) -> TransientGrowth:
+    """Largest singular value of Phi(t, t_0) over the times of a linearisation, in its own coordinates.
+
+    The path between the times is linearised too (two Gauss nodes a step, steps no longer than the shortest of the given ones).
+    Raises BadArgument for fewer than two times.
+    """
+    from mfc_analysis.analysis.floquet import STEPS, accumulated, gauss_nodes, transient_growth as growth_of, transition_magnus
+
+    times = lin.times
+    if len(times) < 2:
+        raise BadArgument("times", times, "a linearisation at two times or more: growth is along a path")
+    if lin.delay or lin.force_delay:
+        takes = "a sample_time beside it: transition matrices of a continuous loop with dead time are not finite"
+        raise Unsupported("hardware.delay", lin.delay or lin.force_delay, takes)
+    if lin.dt:
+        count = max(int(np.floor((times[-1] - times[0]) / lin.dt + 1e-9)), 1)
+        at = times[0] + lin.dt * np.arange(count)
+        return growth_of(accumulated(lin.again(at).A), times[0] + lin.dt * np.arange(count + 1))
+    count = max(STEPS, min(int(np.ceil((times[-1] - times[0]) / np.diff(times).min() - 1e-9)), 4000))
+    edges = np.linspace(times[0], times[-1], count + 1)
+    nodes = gauss_nodes(edges)
+    A = lin.again(np.ravel(nodes)).A
+    return growth_of(accumulated(transition_magnus(A.reshape(*nodes.shape, *A.shape[1:]), np.diff(edges))), edges)

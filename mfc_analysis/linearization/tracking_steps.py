@@ -1,0 +1,99 @@
+"""Settling and overshoot of every reference channel to its own coordinate, along a path.
+
+Joint laws: q_d -> q of each joint. Tool laws: a body twist that moves X_d -> how far the tool has followed, r - X_e, of each
+axis (of 9.24: the axes of motion). Force laws: F_d -> F_tip of each axis that a surface resists.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.steps import step
+from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.laws.law import TWIST, WRENCH
+
+if TYPE_CHECKING:
+    from mfc_analysis.linearization.linearization import Linearization
+
+Array = NDArray[np.float64]
+
+RESISTED = 0.05  #: part of the stiffest axis above which an axis counts as resisted
+
+
+@dataclass(frozen=True, eq=False)
+class StepFigures:
+    """Figures of linear unit steps, m times and k channels. NaN: the channel does not lead to a steady value of its own."""
+
+    times: Array  #: (m,) [s]
+    channels: tuple[str, ...]  #: (k,)
+    settling: Array  #: (m, k) [s] to 2 %; inf where a root at zero integrates the step
+    overshoot: Array  #: (m, k) fraction of the final value
+
+
+def step_figures(lin: Linearization) -> StepFigures:
+    """Settling and overshoot of all channels at all times of a linearised loop, from its exact step responses."""
+    system, pairs = followed(lin)
+    m, k = len(lin.times), len(pairs)
+    settling, overshoot = np.full((m, k), np.nan), np.full((m, k), np.nan)
+    for j, (source, target, _) in enumerate(pairs):
+        for i in range(m):
+            found = step(system, i, source, target)
+            settling[i, j], overshoot[i, j] = found.settling, found.overshoot
+            if found.steady_state == 0.0:
+                settling[i, j] = np.nan
+    return StepFigures(lin.times, tuple(name for *_, name in pairs), settling, overshoot)
+
+
+def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]]:
+    """The system with a coordinate for each reference channel, and (input, output, name) of each."""
+    system, law = lin.opened, lin.equations.law
+    if law.equation in ("9.21", "9.22", "9.23"):
+        return system, _forces(lin, tuple(range(6)))
+    if law.space == "joint":
+        return system, [(f"q_d_{j}", f"q_{j}", j) for j in lin.equations.robot.joint_names]
+    system = _with_followed_pose(system)
+    rows = getattr(law, "rows", None)
+    moving = tuple(range(6)) if rows is None else tuple(i for i in range(6) if _held(np.asarray(rows))[i] < 0.5)
+    pairs = [(f"X_d_{TWIST[i]}", f"X_{TWIST[i]}", f"X_{TWIST[i]}") for i in moving]
+    return system, pairs if rows is None else pairs + _forces(lin, tuple(i for i in range(6) if i not in moving))
+
+
+def _held(rows: Array) -> Array:
+    """(6,) how much of each axis lies in the span of the constraint rows, 0 to 1."""
+    basis = np.linalg.svd(rows, full_matrices=False)[2]
+    return np.asarray((basis**2).sum(axis=0))
+
+
+def _forces(lin: Linearization, axes: tuple[int, ...]) -> list[tuple[str, str, str]]:
+    """F_d -> F_tip of those tool axes that a surface resists: by its stiffness and damping in tool axes, forces and moments apart."""
+    equations = lin.equations
+    if not equations.surfaces or "F_d_fx" not in lin.input_names:
+        return []
+    q = np.ascontiguousarray(lin.point.x[:, equations.parts["q"].where])
+    X = equations.robot.pose(q)
+    size = np.zeros(6)
+    for surface in equations.surfaces:
+        assert surface.pose is not None
+        for R in surface.pose[:3, :3].T @ X[:, :3, :3]:
+            turn = np.kron(np.eye(2), R)
+            size = np.maximum(size, np.diag(turn.T @ (surface.K + surface.B) @ turn))
+    largest = np.repeat([size[:3].max(), size[3:].max()], 3)
+    return [(f"F_d_{WRENCH[i]}", f"F_tip_{WRENCH[i]}", f"F_{WRENCH[i]}") for i in axes if size[i] > RESISTED * largest[i] and largest[i] > 0]
+
+
+def _with_followed_pose(system: OpenSystem) -> OpenSystem:
+    """X_e rows replaced by r - X_e: how far the tool has moved with its reference."""
+    rows = [system.output_names.index(f"X_e_{c}") for c in TWIST]
+    C, D = system.C.copy(), system.D.copy()
+    C[:, rows] *= -1.0
+    D[:, rows] *= -1.0
+    for row, c in zip(rows, TWIST, strict=True):
+        D[:, row, system.input_names.index(f"X_d_{c}")] += 1.0
+    names = list(system.output_names)
+    for row, c in zip(rows, TWIST, strict=True):
+        names[row] = f"X_{c}"
+    return replace(system, C=C, D=D, output_names=tuple(names))

@@ -1,0 +1,193 @@
+"""The chapter's report: every equation's loops on the embedded arms, judged by one set of limits."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from mfc_analysis.report.document.document import Column, Document, Number, Scope, Section, Table, written
+from mfc_analysis.report.render.write import FORMATS, Progress, render
+
+ROOM = "mfc_analysis.report.chapter"
+#: the modules that tell the chapter, in its order; each offers ``sections() -> tuple[Section, ...]``
+PARTS = ("velocity", "joint_torque", "task", "constraints", "force", "hybrid", "stiffness", "hardware", "misprints", "errata")
+TOOL, FORCE = ("task",), ("constraints", "force", "hybrid", "stiffness")
+
+Part = Callable[[], Iterable[Section]]
+
+
+def chapter_document(progress: Progress | None = None, parts: Sequence[Part] | None = None) -> Document:
+    """The chapter as a document.
+
+    Args:
+        progress: called with (done, of how many) after each part.
+        parts: callables that return sections; omitted: those of ``PARTS``.
+    """
+    from mfc_analysis.report.document.provenance import provenance
+    from mfc_analysis.report.document.symbols import symbols
+
+    given = collected() if parts is None else tuple(parts)
+    sections: list[Section] = []
+    for k, found in enumerate(_in_two_processes(given) if parts is None else (part() for part in given)):
+        sections += found
+        if progress is not None:
+            progress(k + 1, len(given))
+    names = {getattr(part, "__module__", "").rpartition(".")[2] for part in given}
+    tool, force = bool(names & set(TOOL)), bool(names & set(FORCE))
+    settings = {"seed of the disturbed starts": 0, "tolerances of runs": "rtol 1e-6, atol 1e-9; comparison rtol 1e-10, atol 1e-12"}
+    last = "9.24" if force else "9.16" if tool else "9.13"
+    overview = validity(sections)
+    return Document(
+        "Motion and force control of robot arms",
+        f"Every loop of equations 9.1 to {last}, on embedded arms: stable or not, how far from trouble, and how far the linear answer holds",
+        (*sections, *(() if overview is None else (overview,))),
+        "chapter",
+        _scope(),
+        provenance("mfc-analysis report", settings=settings),
+        symbols(tool=tool, force=force),
+        tuple(x for x in (all_poles(sections),) if x is not None),
+    )
+
+
+def write_chapter(
+    folder: str | os.PathLike[str] = "out", formats: Sequence[str] = FORMATS, progress: Progress | None = None, *, timestamp: int = 0
+) -> dict[str, Path]:
+    """Writes the chapter's report as ``folder/chapter.html``, ``.pdf`` and ``.json``; returns the path of each format.
+
+    ``progress``: called with (done, of how many): parts of the chapter first, then figures and formats. Raises BadArgument as ``render``.
+    """
+    share = len(PARTS) * 8  # analysing takes about as long as drawing
+
+    def analysed(done: int, total: int) -> None:
+        if progress is not None:
+            progress(share * done // total, 2 * share)
+
+    def drawn(done: int, total: int) -> None:
+        if progress is not None:
+            progress(share + share * done // total, 2 * share)
+
+    return render(chapter_document(analysed), folder, formats, timestamp=timestamp, progress=drawn)
+
+
+def collected() -> tuple[Part, ...]:
+    """The ``sections`` function of each module of ``PARTS`` that is there."""
+    out = []
+    for name in PARTS:
+        if find_spec(f"{ROOM}.{name}") is not None:
+            part = getattr(import_module(f"{ROOM}.{name}"), "sections", None)
+            if part is not None:
+                out.append(part)
+    return tuple(out)
+
+
+def _in_two_processes(parts: Sequence[Part]) -> Iterable[Iterable[Section]]:
+    """The sections of each part, in order; the parts are independent, and half of them are analysed in a second process."""
+    from joblib import Parallel, cpu_count, delayed
+
+    return Parallel(n_jobs=min(2, cpu_count()), return_as="generator")(delayed(part)() for part in parts)  # type: ignore[no-any-return]
+
+
+# --- over all loops ----------------------------------------------------------------------------------------------------------
+
+
+def every_section(sections: Iterable[Section]) -> Iterable[Section]:
+    """The sections and those within, in the order of the pages."""
+    for section in sections:
+        yield section
+        yield from every_section(section.sections)
+
+
+def validity(sections: Iterable[Section]) -> Section | None:
+    """Linear against nonlinear: the error number and the reach of every loop."""
+    rows: list[tuple[Any, ...]] = []
+    nearest: tuple[float, str] | None = None
+    for section in every_section(sections):
+        found = section.numbers.get("validation")
+        if not found or not section.loop:
+            continue
+        radius = float(found["radius"])
+        rows.append(
+            (
+                section.loop,
+                Number(100 * float(found["nrmse"]), undefined="diverged"),
+                Number(radius, infinite="any size tried"),
+                Number(float(found["taylor_order"]), infinite="exact", undefined="diverged"),
+            )
+        )
+        if nearest is None or radius < nearest[0]:
+            nearest = (radius, section.loop)
+    if not rows or nearest is None:
+        return None
+    columns = (Column("Loop", numeric=False), Column("Misfit at 0.01", "%"), Column("Holds up to", "rad, m"), Column("Taylor order"))
+    table = Table(
+        "The linear model against the nonlinear loop, from a start 0.01 rad (m) off the path; it holds as long as the misfit is below 5 %.",
+        columns,
+        tuple(rows),
+    )
+    reach = str(Number(nearest[0], "rad", infinite="any size tried"))
+    finding = f"Of {len(rows)} loops the linear model of {nearest[1]} stops holding first: at {reach}."
+    return Section("Linear against nonlinear", finding, (table,), key="linear-against-nonlinear")
+
+
+def all_poles(sections: Iterable[Section]) -> Section | None:
+    """Appendix: the poles of every loop at its worst place, slowest first."""
+    rows: list[tuple[Any, ...]] = []
+    for section in every_section(sections):
+        poles = section.numbers.get("poles")
+        if poles is None or not section.loop:
+            continue
+        place = section.numbers.get("worst", {})
+        rows.append((section.loop, Number(float(place["time"]), exact=True) if "time" in place else "", poles_words(poles)))
+    if not rows:
+        return None
+    columns = (Column("Loop", numeric=False), Column("t", "s"), Column("Poles [1/s]", numeric=False))
+    return Section(
+        "All poles",
+        body=(Table("Closed-loop poles of every loop at its worst place, slowest first; × counts those that are alike.", columns, tuple(rows)),),
+        key="all-poles",
+    )
+
+
+def poles_words(poles: Iterable[complex]) -> str:
+    """Poles in a line, pairs with ±, those alike to three figures counted."""
+    count: dict[str, int] = {}
+    for value in poles:
+        z = complex(value)
+        if z.imag >= -1e-9 * abs(z):
+            word = written(z.real) if abs(z.imag) <= 1e-4 * abs(z) else f"{written(z.real)} ± {written(abs(z.imag))}j"
+            count[word] = count.get(word, 0) + 1
+    return ",  ".join(word if some == 1 else f"{word} (×{some})" for word, some in count.items())
+
+
+def _scope() -> Scope:
+    from mfc_analysis.report.chapter.arms import LIMITS, PAYLOAD, POINTS, arms
+
+    last = arms()[-1]
+    return Scope(
+        model=(
+            "rigid arms with Pinocchio's dynamics: the joint of eq. 9.6, Siciliano's planar two-link with its motors, the UR5",
+            f"the UR5 carries {PAYLOAD:g} kg that its controller doesn't know of; the other controllers know their plant",
+            f"limits asked of every loop: {LIMITS}",
+        ),
+        assumptions=(
+            "linear figures hold for small deviations from the operating points; the section on linear against nonlinear says how small",
+            "ideal actuators and sensors, unless a section says otherwise",
+            "loops shown only to make a point (open loops) are told, and not counted in the verdict",
+        ),
+        operating_points=(
+            f"{POINTS} times along a quintic path of {last.ref.duration:g} s for each arm, integral states trimmed",
+            "margins at the plant's input (torque, or velocity for 9.1 to 9.5), one channel at a time with the others closed",
+        ),
+        not_checked=(
+            "stability of the moving loops: all figures are frozen in time",
+            (
+                "actuator lag, dead time, sampling, joint flexibility and torque limits in the joint-space loops (their delay margins say how much"
+                " they bear)"
+            ),
+            "other payloads, poses and speeds than those of the paths; sensor noise and quantisation",
+        ),
+    )

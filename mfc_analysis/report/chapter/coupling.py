@@ -1,0 +1,122 @@
+"""What coupling does to independent joints (9.8): the decentralised design beside the arm, and the coupling of its inertia."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis import plots
+from mfc_analysis.report.chapter.arms import decibels
+from mfc_analysis.report.document.document import Block, Cell, Column, Figure, Math, Number, Table, written
+from mfc_analysis.report.loops.view import View
+
+Array = NDArray[np.float64]
+
+
+def price(view: View) -> str:
+    """What coupling does to the slowest root and to the phase margin that changes most, in words."""
+    alone = view.lin.decentralised()
+    designed, real = float(alone.poles().real.max()), view.evidence.slowest_root().value
+    slower = f"the slowest root goes from {written(designed)} to {written(real)} 1/s"
+    change = view.margins.phase_deg - alone.margins().phase_deg
+    if not view.stable or not np.isfinite(change).any():
+        return slower
+    j = int(np.unravel_index(int(np.nanargmin(change)), change.shape)[1])
+    low = float(np.nanmin(change))
+    word = (
+        f"no phase margin falls, the least rise is {written(low)}°"
+        if low > 0
+        else f"the phase margin of {view.margins.channels[j]} falls by {written(-low)}°"
+    )
+    return f"{slower}, {word}"
+
+
+def coupling_words(view: View) -> str:
+    """What coupling costs, in a sentence: each joint alone beside the whole arm."""
+    alone = view.lin.decentralised()
+    designed, real = float(alone.poles().real.max()), view.evidence.slowest_root().value
+    low = float(alone.margins().phase_deg.min()) if alone.stable.all() else float("nan")
+    if not view.stable:
+        return (
+            f"Each joint alone is {'stable' if alone.stable.all() else 'unstable'} with its rightmost pole at {written(designed)} 1/s; coupled, the"
+            f" arm is unstable, with a root at {written(real)} 1/s."
+        )
+    true = float(view.margins.phase_deg.min())
+    cost = low - true
+    change = f"the coupling costs {written(cost)}°" if cost > 0 else f"the coupling gives {written(-cost)}°"
+    return (
+        f"Joint by joint the design promises a phase margin of {written(low)}°, the arm has {written(true)}°: {change}. The rightmost root is at"
+        f" {written(real)} 1/s instead of {written(designed)} 1/s."
+    )
+
+
+def coupling_numbers(view: View) -> dict[str, object]:
+    """The same for the JSON: poles and phase margins of the joints alone and coupled, relative gains."""
+    alone = view.lin.decentralised()
+    return {
+        "decentralised_poles": alone.poles()[view.worst.row],
+        "decentralised_phase_deg": alone.margins().phase_deg.min(axis=0),
+        "coupled_phase_deg": view.margins.phase_deg.min(axis=0),
+        "relative_gain": relative_gain(view).max(axis=0),
+    }
+
+
+def coupling_table(view: View) -> Table:
+    """Each joint's margins by the decentralised design and in truth, worst along the path."""
+    alone, m = view.lin.decentralised().margins(), view.margins
+    gain = relative_gain(view)
+    rows: list[tuple[Cell, ...]] = []
+    for j, name in enumerate(m.channels):
+        with np.errstate(divide="ignore"):
+            low = [float(decibels(x.gain_reduction[:, j]).max()) for x in (alone, m)]
+        rows.append(
+            (
+                name,
+                *(Number(float(x.phase_deg[:, j].min()), infinite="no crossover", undefined="unstable") for x in (alone, m)),
+                *(Number(-x, infinite="any", undefined="unstable") for x in low),
+                *(Number(float(x.delay[:, j].min()) * 1e3, infinite="any", undefined="unstable") for x in (alone, m)),
+                Number(float(gain[:, j].max())),
+            )
+        )
+    heads = (
+        Column("Joint", numeric=False),
+        Column("Phase, alone", "°"),
+        Column("coupled", "°"),
+        Column("Gain down, alone", "dB"),
+        Column("coupled", "dB"),
+        Column("Delay, alone", "ms"),
+        Column("coupled", "ms"),
+        Column(("Relative gain ", Math("lambda_(j j)"))),
+    )
+    return Table(
+        "The decentralised design (each joint alone, on the diagonal of the inertia) beside the coupled arm, each joint's worst along the path.",
+        heads,
+        tuple(rows),
+    )
+
+
+def relative_gain(view: View) -> Array:
+    """(m, n) M_jj (M^-1)_jj of the plant along the path: 1 where a joint is decoupled; how much lighter it is when the others are free."""
+    q = view.loop.nominal(view.times).q
+    M = view.loop.robot.mass(q)
+    return np.asarray(np.diagonal(M, axis1=1, axis2=2) * np.diagonal(np.linalg.inv(M), axis1=1, axis2=2))
+
+
+def coupling_figures(view: View) -> tuple[Block, ...]:
+    """The coupling of M(q) along the path, and phase margins alone and coupled."""
+    gain, names = relative_gain(view), view.margins.channels
+    alone = view.lin.decentralised().margins()
+    i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
+    said = f"largest {written(float(gain[i, j]))} ({names[j]}, t = {written(float(view.times[i]), exact=True)} s)"
+    panels = [plots.Panel("relative gain [-]", gain)]
+    if np.isfinite(view.margins.phase_deg).all() and np.isfinite(alone.phase_deg).all():
+        panels.append(plots.Panel("phase margin [deg]", view.margins.phase_deg, beside=alone.phase_deg))
+    return (
+        Figure(
+            partial(plots.traces, view.times, tuple(panels), names, said=("coupled", "joint alone")),
+            ("Coupling of the inertia along the path, ", Math("lambda_(j j) = M_(j j) (M^(-1))_(j j)"), f": 1 where a joint is alone; {said}."),
+            f"Relative gain of M(q) of {view.loop.robot.name}: {said}.",
+        ),
+    )

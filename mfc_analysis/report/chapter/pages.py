@@ -1,0 +1,82 @@
+"""The page of one loop within a chapter: its verdict, three numbers, frequency response, poles, and the linear model against the nonlinear loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mfc_analysis.report.document.document import Block, Bullets, Row, Section, Text
+from mfc_analysis.report.loops import blocks
+from mfc_analysis.report.loops.sections import numbers, validated
+from mfc_analysis.report.loops.view import View
+from mfc_analysis.simulation.validation import Validation
+
+COMPARED = 0.6  #: [s] of the comparison with the nonlinear loop
+
+
+def loop_page(
+    view: View,
+    title: str = "",
+    *,
+    shown: str = "",
+    path: bool = False,
+    moving: bool = False,
+    frequency: bool = True,
+    compare: bool = True,
+    finding: Text = "",
+    before: tuple[Block, ...] = (),
+    after: tuple[Block, ...] = (),
+    more: Mapping[str, Any] | None = None,
+) -> Section:
+    """The section of one loop.
+
+    Args:
+        title: of the section; omitted: the loop's name. shown: why a loop that is not for use stands here; its verdict is told and not counted.
+        path: margins along the path; moving: the scrubber; frequency: Bode and poles; compare: the nonlinear loop.
+        finding: the answer; omitted: made from the verdict. before, after: blocks around the figures. more: numbers for JSON.
+    """
+    body: list[Block] = [blocks.three_numbers(view), *before]
+    notes = [line.note for line in view.verdict.lines if line.note and line.name in ("stable", "residual") and line is not view.verdict.worst]
+    if notes:
+        body.append(Bullets(tuple(x[:1].upper() + x[1:] + "." for x in notes)))
+    if frequency:
+        rows = blocks.frequency_figures(view)
+        first = rows[0]
+        if isinstance(first, Row):
+            body.append(Row((first.figures[0], blocks.pole_map(view))))
+        else:
+            body += [*rows, Row((blocks.pole_map(view),))]
+    if path and (figure := blocks.history(view, most=3)) is not None:
+        body.append(figure)
+    if moving and (scrubber := blocks.scrubber(view)) is not None:
+        body.append(scrubber)
+    found = validated(view, COMPARED) if compare else None
+    if found is not None:
+        drawing = blocks.validation_figure(view, found) if figure_wanted(found) else None
+        body.append(drawing if drawing is not None else _said(view, found))
+    body += after
+    law = view.loop.law
+    return Section(
+        title[:1].upper() + title[1:] or view.name,
+        finding or view.summary(),
+        tuple(body),
+        view.checks,
+        numbers(view, found) | dict(more or {}),
+        (f"chapter, eq. {law.equation}", *law.sources),
+        loop=view.name,
+        key=view.name,
+        shown=shown,
+    )
+
+
+def figure_wanted(found: Validation) -> bool:
+    """A drawing of a comparison that is exact to rounding shows nothing."""
+    return bool(found.nrmse > 1e-6)
+
+
+def _said(view: View, found: Validation) -> Block:
+    from mfc_analysis.report.document.document import Paragraph
+
+    units = sorted(set(view.loop.robot.joint_units))
+    said = blocks.validation_words(found, units[0] if len(units) == 1 else "rad, m")
+    return Paragraph(f"Against the nonlinear loop: {said}.")

@@ -1,0 +1,1 @@
+"""The neutral document: a tree of sections, tables, figures and verdicts."""

@@ -1,0 +1,428 @@
+"""The neutral document: what a report says, as values. HTML, PDF and JSON render the same ones, so they cannot disagree.
+
+::
+
+    Document
+    +-- Section (title, finding, status, body, checks, numbers, sources), nested at will
+    |   +-- Paragraph, Bullets, Code, Callout, Equation, Table, Figure, Row, KeyFacts, Compare, Matrix, Scrubber
+    +-- Scope, Provenance, Symbol ...
+
+Banner, matrix and worst case are computed from the sections' checks (``verdict.py``); nobody writes them by hand.
+Text is a string, or a tuple of strings and spans (``Math``, ``Mono``, ``Strong``, ``Link``). A string is text, never markup, whatever is in it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from mfc_analysis.errors import BadArgument
+
+
+class Status(StrEnum):
+    """What came of a check. INFO: nothing was asked."""
+
+    PASS = "PASS"
+    WATCH = "WATCH"
+    FAIL = "FAIL"
+    INFO = "INFO"
+
+    @property
+    def rank(self) -> int:
+        """0 (INFO) to 3 (FAIL): the larger, the worse."""
+        return ("INFO", "PASS", "WATCH", "FAIL").index(self.value)
+
+
+def worst(statuses: Sequence[Status]) -> Status:
+    """The worst of them; INFO when there is none."""
+    return max(statuses, key=lambda s: s.rank, default=Status.INFO)
+
+
+# --- text --------------------------------------------------------------------------------------------------------
+
+_FORBIDDEN = ("#", "$", "`", "//", "/*", "\\u")
+
+
+@dataclass(frozen=True)
+class Math:
+    """Mathematics in Typst's notation, ours only: a source that could leave math mode raises ``BadArgument``."""
+
+    source: str  #: e.g. ``K_p dot(q)``; names of several letters in quotes
+    alt: str = ""  #: spoken form; default: the source
+
+    def __post_init__(self) -> None:
+        for bad in _FORBIDDEN:
+            if bad in self.source:
+                raise BadArgument("source", self.source, f"Typst mathematics without {bad!r}")
+
+
+@dataclass(frozen=True)
+class Mono:
+    """Text in a fixed pitch: names of files, code, commands."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Strong:
+    """Text that matters."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Link:
+    """Text that leads to a section of the same document, by its key."""
+
+    text: str
+    target: str
+
+
+Span = str | Math | Mono | Strong | Link
+Text = str | Math | Mono | Strong | Link | tuple[Span, ...]
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number with its unit; in JSON it stays a number, and what is infinite or undefined is a word."""
+
+    value: float
+    unit: str = ""
+    digits: int = 3  #: significant digits shown
+    infinite: str = "no limit"  #: the word for inf
+    undefined: str = "not defined"  #: the word for NaN
+    sign: str = ""  #: "≥", "≤" or "<" before it
+    exact: bool = False  #: a number somebody chose: as short as it is, "45" and not "45.0"
+
+    def __str__(self) -> str:
+        said = written(self.value, self.digits, self.infinite, self.undefined, self.exact)
+        shown = said if not math.isfinite(self.value) or not self.unit else said + ("" if self.unit == "°" else " ") + self.unit
+        return f"{self.sign} {shown}" if self.sign else shown
+
+
+def written(value: float, digits: int = 3, infinite: str = "no limit", undefined: str = "not defined", exact: bool = False) -> str:
+    """A number as a reader wants it: ``digits`` significant ones (``exact``: as many as it has, up to 6), words for inf and NaN."""
+    if math.isnan(value):
+        return undefined
+    if math.isinf(value):
+        return infinite if value > 0 else "minus " + infinite
+    if value == 0:
+        return "0"
+    if exact:
+        return f"{value:.6g}".replace("-", "\N{MINUS SIGN}")
+    exponent = math.floor(math.log10(abs(value)))
+    if -4 <= exponent < max(digits, 5):
+        said = f"{value:.{max(digits - 1 - exponent, 0)}f}"
+    else:
+        mantissa, power = f"{value:.{digits - 1}e}".split("e")
+        said = f"{mantissa}e{int(power)}"
+    return said.replace("-", "\N{MINUS SIGN}")
+
+
+# --- checks ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Check:
+    """One requirement on one loop: asked, found, and where and when it is worst."""
+
+    name: str  #: "phase margin"
+    asked: float  #: the limit, in ``unit``
+    found: float  #: the value, in ``unit``; NaN where the loop is unstable
+    unit: str
+    distance: float  #: how far inside the limit, in ``unit``; negative: missed; NaN: unstable
+    status: Status
+    where: str = ""  #: joint or channel
+    when: float | None = None  #: [s]
+    sense: str = "≥"  #: "≥": at least, "≤": at most, "<": below
+    infinite: str = "no limit"  #: the word for an infinite ``found``
+    undefined: str = "unstable"  #: the word for a NaN
+
+    @property
+    def place(self) -> str:
+        """Where and when, in words; empty if neither is known."""
+        at = "" if self.when is None else f"t = {written(round(self.when, 4), exact=True)} s"
+        return ", ".join(part for part in (self.where, at) if part)
+
+    @property
+    def value(self) -> Number:
+        """What was found."""
+        return Number(self.found, self.unit, infinite=self.infinite, undefined=self.undefined)
+
+    @property
+    def limit(self) -> Number:
+        """What was asked."""
+        return Number(self.asked, self.unit, sign=self.sense, exact=True)
+
+    @property
+    def margin(self) -> Number:
+        """The distance to the limit."""
+        return Number(self.distance, self.unit, infinite=self.infinite, undefined=self.undefined)
+
+    @property
+    def severity(self) -> tuple[int, float]:
+        """Sorts checks, worst last: by status, then by the relative distance to the limit; nothing is worse than a loop that isn't stable."""
+        if self.name == "stable" and self.status is Status.FAIL:
+            return self.status.rank + 1, math.inf
+        if math.isnan(self.distance):
+            return self.status.rank, math.inf
+        scale = abs(self.asked) if self.asked and math.isfinite(self.asked) else 1.0
+        return self.status.rank, -self.distance / scale
+
+
+# --- blocks ------------------------------------------------------------------------------------------------------
+
+Cell = Text | Number | Status | int | float | complex
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph."""
+
+    text: Text
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list."""
+
+    items: tuple[Text, ...]
+
+
+@dataclass(frozen=True)
+class Code:
+    """Lines to copy: a replay, a command."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Callout:
+    """A framed remark with a verdict's colour, word and sign."""
+
+    status: Status
+    title: str
+    text: Text = ""
+
+
+@dataclass(frozen=True)
+class Equation:
+    """A displayed equation: Typst mathematics, the chapter's number, and how it is read aloud."""
+
+    source: str
+    alt: str
+    number: str = ""
+
+    def __post_init__(self) -> None:
+        Math(self.source)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its head, its unit, and whether its cells are numbers (set right)."""
+
+    head: Text
+    unit: str = ""
+    numeric: bool = True
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells under columns. The first column heads its row."""
+
+    caption: Text
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise BadArgument("rows", f"a row of {len(row)} cells", f"{len(self.columns)} cells, one a column")
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A drawing, by recipe or drawn already.
+
+    A recipe is a picklable callable without arguments that returns Axes or a matplotlib Figure: ``functools.partial(plots.poles, values)``.
+    """
+
+    draw: Callable[[], Any] | Any
+    caption: Text
+    alt: str  #: what it shows, with the numbers in it
+
+    def __post_init__(self) -> None:
+        if not self.alt.strip():
+            raise BadArgument("alt", self.alt, "a sentence that says what the figure shows, with its numbers")
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """Figures side by side, in proportion to their own widths, so that their letters are of one size."""
+
+    figures: tuple[Figure, ...]
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One key number: its name, its value, and what to make of it."""
+
+    name: Text
+    value: Number | str
+    note: Text = ""
+
+
+@dataclass(frozen=True)
+class KeyFacts:
+    """The few numbers that one would write down."""
+
+    facts: tuple[Fact, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One side of a comparison."""
+
+    title: str
+    status: Status
+    body: tuple[Any, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Compare:
+    """Two forms side by side (printed and standard), and what the difference costs, in a sentence."""
+
+    left: Side
+    right: Side
+    cost: Text
+
+
+@dataclass(frozen=True)
+class MatrixCell:
+    """A verdict in the matrix, leading to the section that says why."""
+
+    status: Status
+    text: str
+    target: str
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Loops x checks."""
+
+    caption: Text
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, str, tuple[MatrixCell | None, ...]], ...]  #: (name, target, cells)
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One figure along the path: its name, unit, values (m,), and the limit asked for, if any."""
+
+    name: str
+    unit: str
+    values: Sequence[float]
+    limit: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Scrubber:
+    """Poles and margins moving along the path: ``times`` (m,) [s], ``poles`` (m, nx) complex, traces of (m,).
+
+    Without scripts it stands still at the worst time.
+    """
+
+    times: Sequence[float]
+    poles: Any
+    traces: tuple[Trace, ...]
+    worst: int  #: index of the worst time
+    caption: Text
+    alt: str
+
+
+Block = Paragraph | Bullets | Code | Callout | Equation | Table | Figure | Row | KeyFacts | Compare | Matrix | Scrubber
+
+
+# --- the document ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """One answer: its finding in a sentence made from numbers, then the evidence."""
+
+    title: str
+    finding: Text = ""
+    body: tuple[Block, ...] = ()
+    checks: tuple[Check, ...] = ()
+    numbers: Mapping[str, Any] = field(default_factory=dict)  #: named numbers and arrays, for JSON
+    sources: tuple[str, ...] = ()
+    sections: tuple[Section, ...] = ()
+    loop: str = ""  #: the loop it is about: a row of the matrix
+    key: str = ""  #: for links; default: made from the title
+    verdict: Status | None = None  #: for a section whose status is not a matter of checks
+    shown: str = ""  #: why a loop that is not for use stands here ("open loop"); its status is told, but the document's verdict leaves it out
+
+    @property
+    def status(self) -> Status:
+        """The worst of its own checks, of its verdict, and of the sections within."""
+        own = [c.status for c in self.checks] + [s.status for s in self.sections]
+        return worst([*own, self.verdict] if self.verdict is not None else own)
+
+    @property
+    def judged(self) -> Status:
+        """The status that counts for the document: sections that only show what fails are left out."""
+        if self.shown:
+            return Status.INFO
+        own = [c.status for c in self.checks] + [s.judged for s in self.sections]
+        return worst([*own, self.verdict] if self.verdict is not None else own)
+
+    def every_check(self) -> tuple[tuple[Section, Check], ...]:
+        """Its checks and those of the sections within, each with the section it stands in."""
+        inner = tuple(pair for s in self.sections for pair in s.every_check())
+        return tuple((self, c) for c in self.checks) + inner
+
+
+@dataclass(frozen=True)
+class Scope:
+    """What a verdict rests on, and what nobody looked at."""
+
+    model: tuple[Text, ...]
+    assumptions: tuple[Text, ...]
+    operating_points: tuple[Text, ...]
+    not_checked: tuple[Text, ...]
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """A letter, its meaning and unit."""
+
+    letter: Math
+    meaning: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How to make the same pages again: versions, platform, input with its SHA-256, command, seed, tolerances. A date only if it was given."""
+
+    items: tuple[tuple[str, str], ...]
+    command: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """A report. ``name`` becomes the files' name."""
+
+    title: str
+    subtitle: str
+    sections: tuple[Section, ...]
+    name: str = "report"
+    scope: Scope | None = None
+    provenance: Provenance | None = None
+    symbols: tuple[Symbol, ...] = ()
+    appendices: tuple[Section, ...] = ()
+    matrix: bool = True  #: show loops x checks when there is more than one loop

@@ -1,0 +1,38 @@
+"""What made a report: versions, platform, inputs with their SHA-256, the command, settings. No clock is read."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+
+from mfc_analysis.report.document.document import Provenance
+
+PACKAGES = ("mfc-analysis", "control", "numpy", "scipy", "pin", "slycot", "matplotlib", "typst")
+
+
+def provenance(
+    command: str = "", inputs: Mapping[str, bytes] | None = None, settings: Mapping[str, object] | None = None, date: str = ""
+) -> Provenance:
+    """Provenance of a report made here.
+
+    Args:
+        command: the line that makes the report again.
+        inputs: content of each file that went in, by its name (never by its path).
+        settings: seeds, tolerances and the like.
+        date: as given by the user; left out if empty.
+    """
+    items = [("date", date)] if date else []
+    items += [(name, found) for name in PACKAGES if (found := _version(name))]
+    items += [("Python", platform.python_version()), ("platform", f"{platform.system()} {platform.machine()}")]
+    items += [(f"SHA-256 of {name}", hashlib.sha256(content).hexdigest()) for name, content in (inputs or {}).items()]
+    items += [(str(name), str(value)) for name, value in (settings or {}).items()]
+    return Provenance(tuple(items), command)
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""

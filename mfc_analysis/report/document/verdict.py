@@ -1,0 +1,133 @@
+"""Banner, matrix and worst case of a document, computed from the checks of its sections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from mfc_analysis.report.document.document import Check, Column, Document, Matrix, MatrixCell, Section, Status, Table, worst
+
+RARE, MOST_COLUMNS = 0.2, 8  #: part of the loops that a check of a wide matrix must have for a column of its own
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """The banner: a word, one sentence, and the worst loop with its place."""
+
+    status: Status
+    sentence: str
+    detail: str
+    check: Check | None  #: the worst one
+    section: Section | None  #: where it stands
+
+
+def every_check(document: Document) -> tuple[tuple[Section, Check], ...]:
+    """All checks of a document, each with its section, in the order of the pages."""
+    return tuple(pair for section in (*document.sections, *document.appendices) for pair in section.every_check())
+
+
+def verdict(document: Document) -> Verdict:
+    """The banner of a document. A section's own verdict counts as well as its checks; nothing asked: INFO.
+
+    Sections that only show what fails (``Section.shown``) don't count; the detail says how many there are and what came of them.
+    """
+    sections = (*document.sections, *document.appendices)
+    status = worst([s.judged for s in sections])
+    every = every_check(document)
+    checks = [(s, c) for s, c in every if not s.shown]
+    beside = _beside([(s, c) for s, c in every if s.shown])
+    if not checks:
+        return Verdict(
+            status, "Nothing was asked of these loops", ("No requirement was given, so there is nothing to pass or fail." + beside), None, None
+        )
+    section, check = max(checks, key=lambda pair: pair[1].severity)
+    missed = [c for _, c in checks if c.status is Status.FAIL]
+    watched = [c for _, c in checks if c.status is Status.WATCH]
+    loops, bad = ({s.loop for s, c in pairs if s.loop} for pairs in (checks, [(s, c) for s, c in checks if c.status is Status.FAIL]))
+    spread = f" Limits are missed on {len(bad)} of {len(loops)} loops." if bad and len(loops) > 1 else ""
+    if missed:
+        sentence = f"{_count(len(missed), len(checks))} missed"
+    elif watched:
+        sentence = f"{_count(len(checks) - len(watched), len(checks))} met, {len(watched)} {'has' if len(watched) == 1 else 'have'} a reservation"
+    elif status is Status.PASS:
+        sentence = f"All {len(checks)} checks are met"
+    else:
+        sentence = f"All {len(checks)} checks are met, but a section has a reservation"
+    lead = "Worst" if missed or watched else "Tightest"
+    return Verdict(status, sentence, f"{lead}: {said(section, check)}.{spread}{beside}", check, section)
+
+
+def _beside(shown: list[tuple[Section, Check]]) -> str:
+    """A sentence about the loops that stand in the document to show how they fail."""
+    loops = dict.fromkeys(s.loop or s.title for s, _ in shown)
+    if not loops:
+        return ""
+    bad = dict.fromkeys(s.loop or s.title for s, c in shown if c.status is Status.FAIL)
+    one = len(loops) == 1
+    lead = f" {len(loops)} {'loop is' if one else 'loops are'} shown beside them to make a point and not counted here"
+    return f"{lead}: {len(bad)} of {len(loops)} {'misses' if len(bad) == 1 else 'miss'} a limit."
+
+
+def said(section: Section, check: Check) -> str:
+    """One check in words: what, found, asked, where and when."""
+    loop = section.loop or section.title
+    place = f" ({check.place})" if check.place else ""
+    asked = {"≥": "at least", "≤": "at most", "<": "below"}.get(check.sense, check.sense)
+    name = "rightmost root" if check.name == "stable" else check.name
+    return f"{name} of {loop}: {check.value} against {asked} {str(check.limit)[len(check.sense) :].strip()}{place}"
+
+
+def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
+    """Loops x checks, a row per loop name, the worst check where several share a cell; None when no section names its loop.
+
+    Checks that only few loops have share the last column. A unit that all cells of a column have stands in its head.
+    """
+    cells: dict[str, dict[str, tuple[Section, Check]]] = {}
+    first: dict[str, Section] = {}
+    count: dict[str, int] = {}
+    for top in document.sections:
+        for section, check in top.every_check():
+            loop = section.loop or top.loop
+            if not loop:
+                continue
+            first.setdefault(loop, top if top.loop == loop else section)
+            row = cells.setdefault(loop, {})
+            if check.name not in row:
+                count[check.name] = count.get(check.name, 0) + 1
+            if check.name not in row or check.severity > row[check.name][1].severity:
+                row[check.name] = (section, check)
+    if not cells:
+        return None
+    rare = [name for name, some in count.items() if some < len(cells) * RARE] if len(count) > MOST_COLUMNS else []
+    names = [name for name in count if name not in rare]
+    units = {name: {row[name][1].unit for row in cells.values() if name in row} for name in names}
+    shared = {name: found.copy().pop() for name, found in units.items() if len(found) == 1}
+    shown = {section.loop for top in document.sections for section, _ in top.every_check() if section.shown}
+    rows = []
+    for loop, row in cells.items():
+        others = max((row[name] for name in rare if name in row), key=lambda pair: pair[1].severity, default=None)
+        last = (_cell(others, keys, others[1].name if others else ""),) if rare else ()
+        found = (*(_cell(row.get(name), keys, unit=shared.get(name)) for name in names), *last)
+        rows.append((f"{loop} (shown)" if loop in shown else loop, keys[id(first[loop])], found))
+    heads = tuple(f"{name} [{shared[name]}]" if shared.get(name) else name for name in names) + (("other checks",) if rare else ())
+    return Matrix("Every loop against every check; each cell leads to its evidence.", heads, tuple(rows))
+
+
+def requirements(section: Section) -> Table:
+    """The checks of one section, failures first: check, value, limit, distance, where, result."""
+    rows = sorted(section.checks, key=lambda c: c.severity, reverse=True)
+    columns = (Column("Check", numeric=False), Column("Found"), Column("Asked"), Column("Result"), Column("Distance"), Column("Where", numeric=False))
+    return Table(
+        "What was asked of this loop, the worst first.", columns, tuple((c.name, c.value, c.limit, c.status, c.margin, c.place) for c in rows)
+    )
+
+
+def _cell(pair: tuple[Section, Check] | None, keys: dict[int, str], what: str = "", unit: str | None = None) -> MatrixCell | None:
+    if pair is None:
+        return None
+    section, check = pair
+    value = str(replace(check.value, unit="")) if unit is not None else str(check.value)
+    return MatrixCell(check.status, f"{what}: {value}" if what else value, keys[id(section)])
+
+
+def _count(some: int, of: int) -> str:
+    return f"{some} of {of} checks {'is' if some == 1 else 'are'}"

@@ -1,0 +1,1 @@
+"""The report of one loop or several."""

@@ -1,0 +1,357 @@
+"""Blocks of a page about one loop: figures with their numbers in words, tables, key facts. Made from a ``View``; nothing is computed twice."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis import plots
+from mfc_analysis.plots.frequency import of_channel
+from mfc_analysis.report.document.document import (
+    Block,
+    Column,
+    Fact,
+    Figure,
+    KeyFacts,
+    Math,
+    Number,
+    Paragraph,
+    Row,
+    Scrubber,
+    Table,
+    Trace,
+    written,
+)
+from mfc_analysis.report.loops.view import View, place_words
+from mfc_analysis.robots.skeleton import skeleton
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.report.loops.step_runs import StepRun
+    from mfc_analysis.simulation.validation import Validation
+
+Array = NDArray[np.float64]
+
+MOST_TRACES = 121  #: times of the margin histories
+_LIMITS = ("phase_deg", "gain_increase_db", "gain_reduction_db", "delay", "sensitivity_peak")
+
+
+# --- numbers ---------------------------------------------------------------------------------------------------------
+
+
+def sensitivity(view: View) -> KeyFacts:
+    """What the loop is sensitive to: gain, phase, delay, peak, each at its own worst place."""
+    w = view.margins.worst()
+    m = len(view.times)
+
+    def fact(name: str, found: tuple[float, float, str], unit: str, scale: float = 1.0, infinite: str = "no limit") -> Fact:
+        value = Number(found[0] * scale, unit, infinite=infinite, undefined="unstable")
+        return Fact(name, value, "" if not np.isfinite(found[0]) else place_words(found[2], found[1], m))
+
+    with np.errstate(divide="ignore"):
+        down = (float(-20 * np.log10(w.gain_reduction[0])), *w.gain_reduction[1:])
+        up = (float(20 * np.log10(w.gain_increase[0])), *w.gain_increase[1:])
+    return KeyFacts(
+        (
+            fact("Gain may fall by", down, "dB", infinite="any amount"),
+            fact("Gain may rise by", up, "dB", infinite="any amount"),
+            fact("Phase margin", w.phase_deg, "°", infinite="no crossover"),
+            fact("Delay margin", w.delay, "ms", 1e3, "any delay"),
+            fact("Sensitivity peak", w.sensitivity_peak, ""),
+        )
+    )
+
+
+def three_numbers(view: View) -> KeyFacts:
+    """The three numbers of a loop that one would write down: rightmost pole, phase margin, sensitivity peak."""
+    w, m = view.margins.worst(), len(view.times)
+    root = view.evidence.slowest_root()
+    value = Number(root.value, "1/s", infinite="no root that moves", undefined="none")
+    if np.isneginf(root.value):
+        value = Number(0.0, "1/s")
+    known = 1.0 if view.stable else np.nan  # a margin somewhere on an unstable path is none
+    without = "none: no feedback" if not view.fed_back.any() else "unstable"
+    delay = Number(known * w.delay[0] * 1e3, "ms", infinite="any delay", undefined=without)
+    phase = Number(known * w.phase_deg[0], "°", infinite="no crossover", undefined=without)
+    return KeyFacts(
+        (
+            Fact("Slowest root", value, "every root is at zero" if np.isneginf(root.value) else place_words(root.where, root.when or 0.0, m)),
+            Fact("Phase margin", phase, place_words(w.phase_deg[2], w.phase_deg[1], m) if np.isfinite(phase.value) else ""),
+            Fact("Delay margin", delay, place_words(w.delay[2], w.delay[1], m) if np.isfinite(delay.value) else ""),
+        )
+    )
+
+
+def pole_rows(view: View, most: int = 24) -> Table:
+    """Poles at the worst place, slowest first: natural frequency, damping, time constant."""
+    i = view.worst.row
+    rows = []
+    for p in view.lin.pole_table(i):
+        if p.value.imag < 0 and p.kind != "zero":
+            continue
+        kind = {"zero": "at zero", "stable": "", "undamped": "undamped", "unstable": "unstable"}.get(p.kind, p.kind)
+        rows.append((p.value, Number(p.frequency), Number(p.damping, undefined="–"), Number(p.time_constant, infinite="never decays"), kind))
+    cut = f"; the slowest {most} of {len(rows)}" if len(rows) > most else ""
+    dead = "; dead time left out" if view.lin.delay or view.lin.force_delay else ""
+    where = "" if len(view.times) == 1 else f" at t = {written(round(view.worst.time, 4), exact=True)} s"
+    unit = "z" if view.lin.dt else "1/s"
+    columns = (Column("Pole", unit), Column(Math("omega_n"), "rad/s"), Column(Math("zeta")), Column("Time constant", "s"), Column("", numeric=False))
+    return Table(f"Closed-loop poles{where}, slowest first{cut}{dead}.", columns, tuple(rows[:most]))
+
+
+def points_table(view: View) -> Table | None:
+    """The worst margins at every analysis point of the law; None if there is only one."""
+    points = view.lin.opened.points
+    if len(points) < 2:
+        return None
+    rows = []
+    for point in points:
+        w = (view.margins if point == view.point else view.lin.margins(point)).worst()
+        with np.errstate(divide="ignore"):
+            low, high = -20 * np.log10(w.gain_reduction[0]), 20 * np.log10(w.gain_increase[0])
+        rows.append(
+            (
+                point,
+                Number(float(low), infinite="any"),
+                Number(float(high), infinite="any"),
+                Number(w.phase_deg[0], infinite="no crossover"),
+                Number(w.delay[0] * 1e3, infinite="any"),
+                Number(w.sensitivity_peak[0]),
+            )
+        )
+    columns = (
+        Column("Opened at", numeric=False),
+        Column("Gain down", "dB"),
+        Column("Gain up", "dB"),
+        Column("Phase", "°"),
+        Column("Delay", "ms"),
+        Column(Math("M_s")),
+    )
+    return Table("The worst margins at every point where this loop can be opened, one channel at a time.", columns, tuple(rows))
+
+
+# --- figures ---------------------------------------------------------------------------------------------------------
+
+
+def frequency_figures(view: View, at: str | None = None, label: str = "") -> tuple[Block, ...]:
+    """Bode and Nyquist plots at the worst place, the margins drawn on the curve; a sentence where nothing is fed back."""
+    point = at or view.point
+    if not view.fed_back.any():
+        return (Paragraph(f"Nothing is fed back at “{point}”: L = 0, so there is no frequency response to draw and no margin to lose."),)
+    w = view.worst
+    m = view.margins if point == view.point else view.lin.margins(point)
+    k = w.channel if point == view.point or m.channels == view.margins.channels else 0
+    grid = view.frequencies()
+    L = view.response(grid, point, k)
+    if np.abs(L).max() < 1e-9:
+        return (Paragraph(f"Nothing is fed back at “{point}” in {m.channels[k]}: L = 0."),)
+    known: dict[str, Any] = dict(of_channel(m, w.row, k))
+    ms = float(m.sensitivity_peak[w.row, k])
+    where = place_words(m.channels[k], w.time, len(view.times))
+    said = margins_words(m, w.row, k) if view.stable else "the closed loop is unstable, so no margin is drawn"
+    head = f"{label}: " if label else ""
+    bode = Figure(
+        partial(plots.bode, grid, L, index=k, **known),
+        f"{head}L(jω) opened at “{point}” in {where}: {said}.",
+        f"Bode plot of {view.name}, opened at {point} in {where}: {said}.",
+    )
+    nyquist = Figure(
+        partial(plots.nyquist, grid, L, sensitivity_peak=ms, index=k, **known),
+        (
+            ("The same loop; the disc about −1 has the radius ", Math("1/M_s"), ", and L never enters it.")
+            if np.isfinite(ms)
+            else "The same loop; −1 is marked."
+        ),
+        f"Nyquist plot of {view.name}: {'sensitivity peak ' + written(ms) if np.isfinite(ms) else 'the loop is unstable'}.",
+    )
+    return (Row((bode, nyquist)),)
+
+
+def margins_words(m: Margins, i: int, k: int) -> str:
+    """The margins at one time and channel, in words."""
+    phase, reduction, increase = float(m.phase_deg[i, k]), float(m.gain_reduction[i, k]), float(m.gain_increase[i, k])
+    first = "no crossover" if not np.isfinite(phase) else f"phase margin {Number(phase, '°')} at {Number(float(m.crossover[i, k]), 'rad/s')}"
+    low = "any lower gain" if reduction <= 0 else f"down to {written(reduction)} times"
+    high = "any higher gain" if not np.isfinite(increase) else f"up to {written(increase)} times"
+    return f"{first}, stable for {low} and {high} the gain"
+
+
+def pole_map(view: View) -> Figure:
+    """Poles at the worst place, those of the other times in grey."""
+    w, found = view.worst, view.poles
+    slow = found[w.row][np.argmax(view.evidence.spectrum.rates[w.row].real)] if found.shape[1] else 0
+    path = found if len(found) > 1 and np.abs(found - found[:1]).max() > 1e-6 * np.abs(found).max(initial=1e-9) else None
+    what = "rightmost" if not view.lin.dt else "outermost"
+    asked = view.requirements.damping_ratio
+    where = "" if len(view.times) == 1 else f" at t = {written(round(w.time, 4), exact=True)} s"
+    return Figure(
+        partial(plots.poles, found[w.row], damping=asked, path=path, discrete=bool(view.lin.dt), index=w.channel),
+        f"Closed-loop poles{where}" + ("; grey: at the other times." if path is not None else "."),
+        f"Pole map of {view.name}{where}: {what} pole {complex_words(complex(slow))};"
+        f" {'stable' if view.verdict.line('stable').status == 'PASS' else 'not stable'}.",
+    )
+
+
+def complex_words(z: complex) -> str:
+    """A pole in words."""
+    return written(z.real) if abs(z.imag) < 1e-9 * max(abs(z), 1e-300) else f"{written(z.real)} ± {written(abs(z.imag))}j"
+
+
+def step_figure(view: View, run: StepRun) -> Figure:
+    """The linear step over the nonlinear run, and what drives it."""
+    velocity = view.loop.equations.actuator == "velocity"
+    limit = None
+    joint = view.loop.robot.joint_names[run.joint]
+    quantity = f"{'F' if run.channel.startswith('F_') else 'X' if run.channel.startswith('X_') else 'q'} [{run.unit}]"
+    drive = "u" if velocity else "τ"
+    unit = view.loop.robot.joint_units[run.joint]
+    said = f"step of {written(run.size, exact=True)} {run.unit} in {run.channel}: {step_words(run)}"
+    return Figure(
+        partial(
+            plots.step,
+            run.t,
+            run.predicted,
+            nonlinear=(run.t[: run.nonlinear.size], run.nonlinear),
+            torque=(run.t[: run.drive.size], run.drive),
+            torque_limit=limit,
+            target=run.size if run.linear.outcome.name == "SETTLES" else None,
+            band=0.02 * run.size if run.linear.outcome.name == "SETTLES" else None,
+            index=view.worst.channel,
+            quantity=quantity,
+            drive=f"{drive} [{drive_unit(unit, velocity)}]",
+        ),
+        f"A {said}. Below: the {'velocity' if velocity else 'torque'} of {joint} that it takes.",
+        f"Step response of {view.name}: {said}.",
+    )
+
+
+def drive_unit(unit: str, velocity: bool) -> str:
+    """Unit of what drives a joint."""
+    return f"{unit}/s" if velocity else "Nm" if unit == "rad" else "N"
+
+
+def step_words(run: StepRun) -> str:
+    """A step in words."""
+    found = run.linear
+    if found.outcome.name == "RAMPS":
+        first = "the linear response never settles (a root at zero integrates it)"
+    elif found.outcome.name == "GROWS":
+        first = "the linear response grows"
+    elif not np.isfinite(found.overshoot):
+        first = "the linear response comes back to zero"
+    else:
+        first = (
+            f"the linear model rises in {Number(found.rise, 's')}, settles in {Number(found.settling, 's')}, overshoots by"
+            f" {written(100 * found.overshoot)} %"
+        )
+    if run.said:
+        return f"{first}; the nonlinear run stopped: {run.said}"
+    return f"{first}; the nonlinear run is never farther from it than {written(100 * run.misfit)} % of the step"
+
+
+def history(view: View, most: int = 4) -> Figure | None:
+    """Up to ``most`` margins along the path with the limits asked; None for a single time, or where nothing is fed back."""
+    if len(view.times) < 2 or not view.fed_back.any():
+        return None
+    m, asked = view.margins, view.requirements.asked()
+    w = m.worst()
+    said = str(w) if view.stable else f"unstable at {int((~view.evidence.judged).sum())} of {len(view.times)} times"
+    figures = tuple(f for f in ("phase_deg", "gain_reduction_db", "gain_increase_db", "delay", "sensitivity_peak") if _worth(m, f))[:most] or (
+        "phase_deg",
+    )
+    return Figure(
+        partial(plots.margin_history, m, {k: v for k, v in asked.items() if k in _LIMITS}, figures=figures),
+        f"Margins along the path, opened at “{view.point}”; dashed: what was asked; the ring marks the worst.",
+        f"Margins of {view.name} against time: {said}.",
+    )
+
+
+def _worth(m: Margins, figure: str) -> bool:
+    return bool(np.isfinite(getattr(m, figure)).any())
+
+
+def scrubber(view: View) -> Scrubber | None:
+    """Poles and margins moving along the path; None for a single time or a discrete loop."""
+    m, asked = view.margins, view.requirements.asked()
+    if len(view.times) < 2 or view.lin.dt or not view.fed_back.any():
+        return None
+    traces = []
+    for name, unit, values, limit in (
+        ("Phase margin", "°", m.phase_deg.min(axis=1), asked.get("phase_deg")),
+        ("Gain down", "dB", m.gain_reduction_db.min(axis=1), asked.get("gain_reduction_db")),
+        ("Gain up", "dB", m.gain_increase_db.min(axis=1), asked.get("gain_increase_db")),
+        ("Peak Ms", "", m.sensitivity_peak.max(axis=1), asked.get("sensitivity_peak")),
+    ):
+        if np.isfinite(values).any():
+            traces.append(Trace(name, unit, values, limit))
+    if not traces:
+        return None
+    said = view.tightest()
+    return Scrubber(
+        view.times.tolist(),
+        view.poles,
+        tuple(traces[:3]),
+        view.worst.row,
+        "Poles (grey: their paths) and the smallest margins at one time of the path.",
+        f"Poles and margins of {view.name} along the path; {said}.",
+    )
+
+
+def arm_figure(view: View) -> Figure:
+    """The arm as a stick figure along the path."""
+    keep = np.unique(np.append(np.round(np.linspace(0, len(view.times) - 1, min(len(view.times), 60))).astype(int), view.worst.row))
+    q = view.loop.nominal(view.times).q[keep]
+    origins = skeleton(view.loop.robot, q)
+    tool = origins[-1, -1]
+    worst = int(np.searchsorted(keep, view.worst.row))
+    moving = len(keep) > 1 and np.abs(q - q[0]).max() > 1e-9
+    said = (
+        f"the tool ends at ({', '.join(written(float(x)) for x in tool)}) m"
+        if moving
+        else f"the tool is at ({', '.join(written(float(x)) for x in tool)}) m"
+    )
+    return Figure(
+        partial(
+            plots.arm,
+            origins,
+            worst=worst if moving else None,
+            worst_time=float(view.worst.time) if moving else None,
+            title="Poses along the path" if moving else "The pose",
+        ),
+        f"The arm along its path{', the pose of the worst case in colour' if moving else ''}; {said}.",
+        f"Stick figure of {view.loop.robot.name}: {said}.",
+    )
+
+
+def validation_figure(view: View, found: Validation) -> Figure | None:
+    """Linear prediction over the nonlinear run from a disturbed start; None where the run diverged."""
+    if not np.isfinite(found.nonlinear).all() or found.t.size < 2:
+        return None
+    units = set(view.loop.robot.joint_units)
+    unit = units.pop() if len(units) == 1 else "rad, m"
+    said = validation_words(found, unit)
+    panel = plots.Panel(f"deviation [{unit}]", found.nonlinear, beside=found.linear)
+    return Figure(
+        partial(plots.traces, found.t, (panel,), view.loop.robot.joint_names, said=("nonlinear", "linear")),
+        f"From a start {written(found.size, exact=True)} {unit} off the path: {said}.",
+        f"Deviations of {view.name}, nonlinear and linear: {said}.",
+    )
+
+
+def validation_words(found: Validation, unit: str = "rad") -> str:
+    """The comparison with the nonlinear loop, in words."""
+    if np.isnan(found.nrmse):
+        return "the nonlinear run from the operating point diverges, so there is nothing to compare"
+    reach = (
+        f"any size tried (up to 3 {unit})" if np.isinf(found.radius) else "no size tried" if found.radius <= 0 else f"{written(found.radius)} {unit}"
+    )
+    order = (
+        "the remainder is rounding (the loop is linear)"
+        if np.isinf(found.taylor_order)
+        else f"the remainder shrinks with power {written(found.taylor_order)} of the size"
+    )
+    off = f"over {written(found.time, exact=True)} s the linear model is off by {written(100 * found.nrmse)} %"
+    return f"{off}; it stays within 5 % up to {reach}; {order}"

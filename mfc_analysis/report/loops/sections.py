@@ -1,0 +1,449 @@
+"""The sections of a loop's report, from a ``View``: requirements, the loop and its parameters, margins, poles, step, validity, pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis import plots
+from mfc_analysis.errors import MfcError
+from mfc_analysis.report.document.document import (
+    Block,
+    Bullets,
+    Callout,
+    Column,
+    Equation,
+    Fact,
+    Figure,
+    KeyFacts,
+    Number,
+    Paragraph,
+    Row,
+    Section,
+    Status,
+    Table,
+    written,
+)
+from mfc_analysis.report.loops import blocks
+from mfc_analysis.report.loops.step_runs import GROWTH, step_run
+from mfc_analysis.report.loops.view import View
+
+if TYPE_CHECKING:
+    from mfc_analysis.laws.gain import Gain
+    from mfc_analysis.simulation.validation import Validation
+
+Array = NDArray[np.float64]
+
+VALIDATED, SHORTEST = 1.0, 0.1  #: [s] of the comparison with the nonlinear loop: at most, and at least where a mode rings
+SEGMENTS, PERIODS, RINGS = 60, 5.0, 0.2  #: samples or dead times; periods of the fastest mode whose damping ratio is below ...
+_HARDWARE = {
+    "torque_lag": ("torque lag", "s"),
+    "velocity_lag": ("velocity lag", "s"),
+    "delay": ("dead time of the command", "s"),
+    "force_delay": ("dead time of the force sensor", "s"),
+    "sample_time": ("sample time", "s"),
+    "force_filter": ("force filter", "s"),
+    "velocity_filter": ("velocity filter", "s"),
+    "joint_stiffness": ("joint stiffness", "Nm/rad"),
+    "joint_damping": ("joint damping", "Nm s/rad"),
+    "motor_inertia": ("motor inertia", "kg m²"),
+    "torque_limit": ("torque limit", "Nm"),
+}
+
+
+def loop_section(view: View) -> Section:
+    """Everything about one loop, in the order of a loop report: what was asked, the loop, margins, poles, step, validity, pose."""
+    found = validated(view)
+    inner = [
+        the_loop(view),
+        frequency_section(view),
+        pole_section(view),
+        *path_section(view),
+        time_section(view),
+        validity_section(view, found),
+        *pose_section(view),
+    ]
+    return Section(
+        view.name,
+        view.summary(),
+        tuple(_notes(view)),
+        view.checks,
+        numbers(view, found),
+        (f"chapter, eq. {view.loop.law.equation}", *view.loop.law.sources),
+        tuple(inner),
+        loop=view.name,
+    )
+
+
+def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
+    """The numbers behind the pages, for JSON."""
+    m, i = view.margins, view.worst.row
+    w = view.worst
+    out: dict[str, Any] = {
+        "equation": view.loop.law.equation,
+        "form": getattr(view.loop.law, "form", "standard"),
+        "at": view.point,
+        "times": view.times,
+        "stable": view.lin.stable,
+        "neutral": view.lin.neutral,
+        "drifts": view.lin.drifts,
+        "worst": {"time": w.time, "channel": w.name},
+        "poles": view.poles[i],
+        "channels": m.channels,
+        "phase_deg": m.phase_deg[i],
+        "crossover": m.crossover[i],
+        "gain_reduction": m.gain_reduction[i],
+        "gain_increase": m.gain_increase[i],
+        "delay": m.delay[i],
+        "sensitivity_peak": m.sensitivity_peak[i],
+        "gains": {name: np.asarray(g.array) for name, g in view.loop.law.gains().items() if g},
+        "largest_residual": float(np.abs(view.lin.residual).max(initial=0.0)),
+    }
+    if found is not None:
+        out["validation"] = {"taylor_order": found.taylor_order, "nrmse": found.nrmse, "radius": found.radius, "size": found.size}
+    return out
+
+
+def validated(view: View, time: float = VALIDATED) -> Validation | None:
+    """The comparison with the nonlinear loop over at most ``time`` [s]; None where it refuses (a start that the law cannot take).
+
+    It takes about sixteen runs, so it is shorter where a run is slow: at most ``SEGMENTS`` samples or dead times, and
+    ``PERIODS`` of the fastest mode that rings, and ``GROWTH`` time constants of a loop that grows.
+    """
+    hardware = view.loop.equations.hardware
+    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=np.inf)
+    roots = view.evidence.spectrum.rates[view.worst.row]
+    ringing = np.abs(roots)[np.isfinite(roots) & (np.abs(roots.real) < RINGS * np.abs(roots))].max(initial=0.0)
+    span = min(time, SEGMENTS * grain, max(PERIODS * 2 * np.pi / ringing, SHORTEST) if ringing else np.inf)
+    if view.growth > 0:
+        span = min(span, max(GROWTH / view.growth, 0.01))
+    try:
+        return view.loop.validate(view.calm(float(span)))
+    except MfcError:
+        return None
+
+
+def _notes(view: View) -> list[Block]:
+    notes = [
+        f"{line.label}: {line.note}" for line in view.verdict.lines if line.note and (line.name == "stable" or not line.note.startswith("unstable"))
+    ]
+    said = [*notes, *view.verdict.notes]
+    out: list[Block] = [Bullets(tuple(x[:1].upper() + x[1:] + "." for x in said))] if said else []
+    if not view.requirements.asked():
+        out.append(Paragraph("Only stability was asked of this loop; with requirements (margins, damping, settling, ...) their lines stand here."))
+    return out
+
+
+# --- the loop and its parameters ------------------------------------------------------------------------------------------
+
+
+def the_loop(view: View) -> Section:
+    """Block diagram, equation and parameters."""
+    law = view.loop.law
+    body: list[Block] = [diagram(view)]
+    source = law.typst
+    if source:
+        body.append(Equation(source, f"control law, equation {law.equation}", law.equation))
+    if getattr(law, "form", "standard") != "standard":
+        body.append(Callout(Status.WATCH, f"form = {law.form!r}", "The equation above is the standard form; this loop runs the other one."))  # type: ignore[attr-defined]
+    if view.loop.equations.actuator == "torque":
+        contact = ' + J_b^top F_"tip"' if view.loop.equations.surfaces else ""
+        body.append(Equation(f"M(q) dot.double(q) + h(q, dot(q)){contact} = tau", "equation of motion", "9.19" if contact else "9.7"))
+    else:
+        body.append(Equation("dot(q) = u", "the joints follow the commanded velocity"))
+    body += parameters(view)
+    return Section("The loop and its parameters", body=tuple(body))
+
+
+def diagram(view: View) -> Figure:
+    """The loop as boxes, with every point at which it can be opened."""
+    law, hardware = view.loop.law, view.loop.equations.hardware
+    points = view.lin.opened.points
+    name = type(law).__name__
+    chain: list[tuple[str, str]] = []
+    if "command" in points:
+        chain += [("error\nfeedback", "command"), ("inverse\ndynamics" if law.plant == "torque" else "inverse\nJacobian", law.plant)]
+    else:
+        chain.append((f"{name}\n(eq. {law.equation})", law.plant if law.plant in points else ""))
+    between = [
+        word for word, there in (("lag", "lag" in view.loop.equations.parts), ("dead time", hardware.delay), ("hold", hardware.sample_time)) if there
+    ]
+    if between:
+        chain.append(("\n".join(between[:2]), ""))
+    chain.append(("arm" if law.plant == "torque" else "joints\nq′ = u", ""))
+    if view.loop.equations.surfaces:
+        chain.append(("surface", ""))
+    back = next((p for p in ("force", "position") if p in points), "")
+    wanted = (["X_d"] if law.space == "tool" else []) + (["F_d"] if hasattr(law, "F_d") else [])
+    reference = ", ".join(wanted) or "q_d"
+    output = "q, v" if law.plant == "torque" else "q"
+    others = ", ".join(points)
+    return Figure(
+        partial(plots.block, tuple(chain), reference=reference, output=output, back=back, at=view.point),
+        f"The loop under eq. {law.equation}; filled: where it is opened here (“{view.point}”). It can be opened at: {others}.",
+        f"Block diagram of {view.name}: {' to '.join(text.replace(chr(10), ' ') for text, _ in chain)}, opened at {view.point}; points {others}.",
+    )
+
+
+def parameters(view: View) -> tuple[Block, ...]:
+    """Gains, and what stands around them: robot, model, path, hardware, surfaces."""
+    out: list[Block] = []
+    law, n = view.loop.law, view.loop.robot.n
+    rows = []
+    for name, gain in law.gains().items():
+        rows.append((name, law.units.get(name, "").replace("^2", "²").replace("^3", "³"), gain_words(gain)))
+    if rows:
+        heads = (
+            Column("Gain", numeric=False),
+            Column("Unit", numeric=False),
+            Column(f"Value ({'per joint' if law.space == 'joint' and n > 1 else 'scalar, diagonal or matrix'})", numeric=False),
+        )
+        out.append(Table("Gains of the law.", heads, tuple(rows)))
+    facts = [("robot", robot_words(view)), ("controller's model", model_words(view)), ("reference", reference_words(view))]
+    hardware = view.loop.equations.hardware
+    for field in fields(hardware):
+        given = getattr(hardware, field.name)
+        if given is not None and field.name in _HARDWARE:
+            word, unit = _HARDWARE[field.name]
+            facts.append((word, f"{array_words(np.asarray(given, float))} {unit}"))
+    if hardware.elastic:
+        facts.append(("encoder of the elastic joints", hardware.feedback))
+    if hardware.ideal:
+        facts.append(("hardware", "ideal: no lag, dead time, sampling, filter, flexibility or limit"))
+    for k, surface in enumerate(view.loop.equations.surfaces):
+        facts.append((f"surface {k + 1}", surface_words(surface)))
+    columns = (Column("What", numeric=False), Column("Which", numeric=False))
+    out.append(Table("Robot, model, path and hardware.", columns, tuple(facts)))
+    return tuple(out)
+
+
+def gain_words(gain: Gain) -> str:
+    """A gain as text."""
+    return "none" if gain.array is None else array_words(np.asarray(gain.array))
+
+
+def array_words(a: Array) -> str:
+    """A scalar, vector or matrix as text."""
+    if a.ndim == 0:
+        return written(float(a), exact=True)
+    if a.ndim == 1:
+        return "(" + ", ".join(written(float(x), exact=True) for x in a) + ")"
+    return "; ".join(array_words(row) for row in a)
+
+
+def robot_words(view: View) -> str:
+    """The plant in words."""
+    robot = view.loop.robot
+    payload = "".join(f", payload {written(float(p.mass), exact=True)} kg at {robot.tool}" for p in robot.payloads)
+    return f"{robot.name}, {robot.n} {'joint' if robot.n == 1 else 'joints'} ({', '.join(robot.joint_names)}), tool {robot.tool}{payload}"
+
+
+def model_words(view: View) -> str:
+    """The controller's model in words: whether it is the plant, and if not what tells them apart."""
+    loop = view.loop
+    model = loop.equations.model
+    if model is loop.robot:
+        return "exact: the plant itself"
+    q = loop.nominal(view.times[:1]).q[0]
+    gap = float(np.abs(model.mass(q) - loop.robot.mass(q)).max() / np.abs(loop.robot.mass(q)).max())
+    payload = sum(float(p.mass) for p in loop.robot.payloads) - sum(float(p.mass) for p in model.payloads)
+    said = f"{model.name}, without {written(payload, exact=True)} kg of the plant's payload; " if abs(payload) > 1e-12 else f"{model.name}; "
+    return (
+        said + f"its inertia differs from the plant's by up to {written(100 * gap)} % of the largest entry (t ="
+        f" {written(float(view.times[0]), exact=True)} s)"
+    )
+
+
+def reference_words(view: View) -> str:
+    """The reference in words."""
+    ref = view.loop.ref
+    kind = type(ref).__name__
+    span = (
+        f", {written(float(ref.duration), exact=True)} s"
+        if ref.duration
+        else f", period {written(float(ref.period), exact=True)} s"
+        if ref.period
+        else ""
+    )
+    if ref.is_hold:
+        return f"{kind} (at rest)"
+    speed = float(np.abs(view.loop.nominal(view.times).v).max())
+    units = sorted(set(view.loop.robot.joint_units))
+    return f"{kind}{span}; fastest joint {written(speed)} {' or '.join(u + '/s' for u in units)}"
+
+
+def surface_words(surface: Any) -> str:
+    """A surface in words."""
+    k, d = (array_words(np.asarray(x, float)) if np.ndim(x) < 2 else "a 6 × 6 matrix" for x in (surface.stiffness, surface.damping))
+    preload = np.asarray(surface.preload, float)
+    pressed = f", preload {array_words(preload)} N" if preload.any() else ""
+    return f"stiffness {k} N/m, damping {d} N s/m, axes {surface.axes}{pressed}, {'one-sided in simulation' if surface.one_sided else 'two-sided'}"
+
+
+# --- margins, poles, path -------------------------------------------------------------------------------------------------
+
+
+def frequency_section(view: View) -> Section:
+    """Bode and Nyquist at the worst place, what the loop is sensitive to, the margins at every point."""
+    body: list[Block] = []
+    if view.stable and view.fed_back.any():
+        body.append(blocks.sensitivity(view))
+    body += blocks.frequency_figures(view)
+    table = blocks.points_table(view) if view.stable and view.fed_back.any() else None
+    if table is not None:
+        body.append(table)
+    more: dict[str, Any] = {}
+    if view.stable and view.fed_back.sum() > 1:
+        block, more = disk_block(view)
+        body += block
+    finding = view.tightest()
+    return Section("How far it is from instability", finding[:1].upper() + finding[1:] + ".", tuple(body), numbers=more)
+
+
+def disk_block(view: View) -> tuple[tuple[Block, ...], dict[str, Any]]:
+    """The disk margin at the worst place: all loops at once."""
+    one = view.lin.again(view.times[view.worst.row : view.worst.row + 1])
+    found = one.disk_margin(view.point)
+    alpha = float(found.alpha[0])
+    if not np.isfinite(alpha):
+        return (), {}
+    note = "all channels at once, each by its own"
+    facts = KeyFacts(
+        (
+            Fact(
+                "Disk margin α",
+                Number(alpha),
+                f"{found.bound.name.lower()}; at {Number(float(found.frequency[0]), 'rad/s', infinite='no frequency')}",
+            ),
+            Fact("All gains at once", Number(float(found.gain_db[0]), "dB", sign="±", infinite="any"), note),
+            Fact("All phases at once", Number(float(found.phase_deg[0]), "°", sign="±"), note),
+        )
+    )
+    return (facts,), {"disk_margin": alpha, "disk_frequency": float(found.frequency[0])}
+
+
+def pole_section(view: View) -> Section:
+    """Pole map and table, slowest first."""
+    root = view.evidence.slowest_root()
+    line = view.verdict.line("stable")
+    if np.isneginf(root.value) or np.isnan(root.value):
+        finding = "Every root is at zero: " + (line.note or "nothing decays") + "."
+    else:
+        finding = (
+            f"The rightmost root that is not at zero is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
+        )
+    body: list[Block] = [Row((blocks.pole_map(view),)), blocks.pole_rows(view)]
+    numbers: dict[str, Any] = {}
+    if view.lin.delay or view.lin.force_delay:
+        one = view.lin.again(view.times[view.worst.row : view.worst.row + 1])
+        roots = one.delay_roots(6)[0]
+        said = ", ".join(blocks.complex_words(complex(s)) for s in roots if s.imag >= 0)
+        body.append(Paragraph(f"With the dead time, exactly: the rightmost characteristic roots are at {said} 1/s."))
+        numbers["delay_roots"] = roots
+    return Section("Poles", finding, tuple(body), numbers=numbers)
+
+
+def path_section(view: View) -> Sequence[Section]:
+    """Margins along the path and the scrubber."""
+    figure, moving = blocks.history(view), blocks.scrubber(view)
+    if figure is None:
+        return ()
+    body: list[Block] = [figure]
+    if moving is not None:
+        body.append(moving)
+    m = view.margins
+    if not view.stable:
+        bad = np.flatnonzero(~view.evidence.judged)
+        finding = f"Unstable at {bad.size} of {len(view.times)} times, first at t = {written(float(view.times[bad[0]]), exact=True)} s."
+    elif np.isfinite(m.phase_deg).any():
+        low, high = float(np.nanmin(m.phase_deg)), float(np.nanmax(np.where(np.isfinite(m.phase_deg), m.phase_deg, np.nan)))
+        finding = (
+            f"Over {len(view.times)} times and {len(m.channels)} channels the phase margin lies between {Number(low, '°')} and {Number(high, '°')}."
+        )
+    else:
+        finding = "No channel has a crossover at any time."
+    return (Section("Along the path", finding, tuple(body)),)
+
+
+# --- time ------------------------------------------------------------------------------------------------------------------
+
+
+def time_section(view: View) -> Section:
+    """A step, linear over nonlinear; free runs where nothing is fed back."""
+    run = step_run(view)
+    if run is None:
+        return _free_run(view)
+    numbers = {
+        "channel": run.channel,
+        "size": run.size,
+        "rise": run.linear.rise,
+        "settling": run.linear.settling,
+        "overshoot": run.linear.overshoot,
+        "steady_state": run.linear.steady_state,
+        "misfit": run.misfit,
+        "outcome": run.linear.outcome.value,
+    }
+    said = blocks.step_words(run)
+    return Section("A step, linear and nonlinear", said[:1].upper() + said[1:] + ".", (Row((blocks.step_figure(view, run),)),), numbers=numbers)
+
+
+def _free_run(view: View) -> Section:
+    """The nonlinear run along the path from a start that is off it."""
+    loop = view.loop
+    span = float(view.times[-1] - view.times[0]) or 2.0
+    times = float(view.times[0]) + np.linspace(0.0, span, 301)
+    try:
+        run = loop.simulate(times, initial_error=0.05)
+    except MfcError as why:
+        return Section("A nonlinear run", f"No run: {why}.")
+    tool = loop.law.space == "tool"
+    names = tuple(f"X_e_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")) if tool else loop.robot.joint_names
+    units = "m, rad" if tool else ", ".join(sorted(set(loop.robot.joint_units)))
+    first, last = np.abs(run.error[0]).max(), np.abs(run.error[-1]).max()
+    said = (
+        f"from an error of {written(float(first))} the largest error after {Number(float(run.t[-1] - run.t[0]), 's')} is {written(float(last))}"
+        f" {units}"
+    )
+    if run.diverged:
+        said += f" ({run.message})"
+    drive = plots.Panel(f"{'velocity' if loop.equations.actuator == 'velocity' else 'torque'}", run.command)
+    figure = Figure(
+        partial(plots.traces, run.t, (plots.Panel(f"error [{units}]", run.error), drive), names),
+        f"A nonlinear run: {said}.",
+        f"Nonlinear run of {view.name}: {said}.",
+    )
+    return Section("A nonlinear run", said[:1].upper() + said[1:] + ".", (figure,), numbers={"first_error": float(first), "last_error": float(last)})
+
+
+def validity_section(view: View, found: Validation | None) -> Section:
+    """Linear prediction against the nonlinear loop: error number and reach."""
+    title = "How far the linear model holds"
+    if found is None:
+        return Section(title, "The nonlinear loop refuses to start from the operating point, so nothing was compared.", verdict=Status.WATCH)
+    units = sorted(set(view.loop.robot.joint_units))
+    unit = units[0] if len(units) == 1 else "rad, m"
+    said = blocks.validation_words(found, unit)
+    figure = blocks.validation_figure(view, found)
+    facts = KeyFacts(
+        (
+            Fact(
+                "Misfit",
+                Number(100 * found.nrmse, "%", undefined="diverged"),
+                f"at {written(found.size, exact=True)} {unit}, over {written(found.time, exact=True)} s",
+            ),
+            Fact("Holds up to", Number(found.radius, unit, infinite="any size tried"), "misfit below 5 %"),
+            Fact("Taylor order", Number(found.taylor_order, infinite="exact", undefined="diverged"), "2: the linearisation is right"),
+        )
+    )
+    body: tuple[Block, ...] = (facts,) if figure is None else (facts, figure)
+    return Section(title, said[:1].upper() + said[1:] + ".", body)
+
+
+def pose_section(view: View) -> Sequence[Section]:
+    """The arm as a stick figure."""
+    return (Section("Where the arm is", body=(Row((blocks.arm_figure(view),)),)),)

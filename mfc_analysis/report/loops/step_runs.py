@@ -1,0 +1,182 @@
+"""A step of the reference, linear and nonlinear: what the linear model promises, and what the nonlinear loop does with the same step.
+
+The nonlinear response is the run with the stepped reference less the run without it, both from the operating point. On a moving
+path the linear one is frozen at the instant of the step, and the difference shows.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.analysis.steps import Outcome, Step, step
+from mfc_analysis.errors import MfcError, MfcWarning
+from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
+from mfc_analysis.linearization.tracking_steps import followed
+from mfc_analysis.maths.se3 import adjoint, exp6
+from mfc_analysis.trajectories.joint import JointPoint
+from mfc_analysis.trajectories.tool import ToolPoint
+
+if TYPE_CHECKING:
+    from mfc_analysis.dynamics.equations import Equations
+    from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.report.loops.view import View
+
+Array = NDArray[np.float64]
+
+JOINT, PRISMATIC, LINEAR, ANGULAR = 0.05, 0.01, 0.005, 0.02  #: [rad], [m], [m], [rad] sizes of the steps
+FORCE = 0.05  #: part of the force asked for; at least 1 N (Nm)
+LONGEST, SAMPLES, SEGMENTS = 4.0, 300, 300  #: [s]; points kept; dead-time segments or samples that a run may take
+GROWTH = 4.0  #: time constants of the fastest growth for which an unstable step is followed
+
+
+@dataclass(frozen=True, eq=False)
+class Shifted:
+    """A reference moved by a constant: joint positions by (n,) [rad, m], or the tool by exp(delta), delta (6,) in its own frame."""
+
+    source: Any
+    delta: Array
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.source, name)
+
+    def __call__(self, t: ArrayLike) -> JointPoint | ToolPoint:
+        """The moved reference at t [s]."""
+        point = self.source(t)
+        if self.source.space == "joint":
+            return JointPoint(point.q + self.delta, point.v, point.a)
+        move, back = exp6(self.delta), adjoint(exp6(-self.delta))
+        return ToolPoint(np.asarray(point.X) @ move, point.V @ back.T, point.dV @ back.T)
+
+
+@dataclass(frozen=True, eq=False)
+class ToolOf:
+    """The tool motion of a joint reference, as a tool law sees it."""
+
+    source: Any
+    equations: Equations
+    space: ClassVar[str] = "tool"
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.source, name)
+
+    def __call__(self, t: ArrayLike) -> ToolPoint:
+        """Pose, twist and its rate at t [s]."""
+        now = self.equations.reference(np.asarray(t, float))
+        assert isinstance(now, ToolReference)
+        return ToolPoint(now.X.matrix, np.asarray(now.V), np.asarray(now.dV))
+
+
+@dataclass(frozen=True, eq=False)
+class StepRun:
+    """One step, linear and nonlinear."""
+
+    linear: Step
+    size: float  #: of the step
+    unit: str
+    channel: str
+    t: Array  #: (k,) [s] since the step
+    predicted: Array  #: (k,) the linear response to the step of this size
+    nonlinear: Array  #: (k,) what the nonlinear loop does; shorter than t where it diverged
+    drive: Array  #: (k,) torque [Nm] (velocity laws: velocity) of the joint that works hardest, less that without the step
+    joint: int  #: that joint
+    said: str  #: how the nonlinear run ended, where it did not reach its end
+
+    @property
+    def misfit(self) -> float:
+        """Largest |nonlinear - linear| in parts of the step; NaN where the run diverged."""
+        k = self.nonlinear.size
+        return float("nan") if self.said or not k else float(np.abs(self.nonlinear - self.predicted[:k]).max() / abs(self.size))
+
+
+def step_run(view: View) -> StepRun | None:
+    """A step of the reference channel at the worst place; None where the law has no reference that the loop follows."""
+    system, pairs = followed(view.lin)
+    if not pairs or not view.fed_back.any():
+        return None
+    i = view.worst.row
+    source, target, channel = next((p for p in pairs if p[2] == view.worst.name), pairs[0])
+    linear = step(system, i, source, target)
+    try:
+        duration = view.calm(_duration(view, linear))
+    except MfcError:
+        return None
+    linear = step(system, i, source, target, duration)
+    size, unit = _size(view.loop, source, channel)
+    runs = [_run(loop, view, i, duration) for loop in (view.loop, _stepped(view.loop, source, size))]
+    if runs[0] is None or runs[1] is None:
+        return None
+    k = min(len(r.t) for r in runs)
+    t = runs[1].t[:k] - runs[1].t[0]
+    out = [_output(r, target, view.loop)[:k] for r in runs]
+    moved = out[1] - out[0]
+    if target.startswith("X_"):
+        moved = size - moved
+    work = runs[1].tau[:k] - runs[0].tau[:k]
+    joint = int(np.argmax(np.abs(work).max(axis=0)))
+    predicted = size * np.interp(t, linear.t, linear.y)
+    said = next((r.message for r in runs if r.diverged), "")
+    return StepRun(linear, size, unit, channel, t, predicted, moved, work[:, joint], joint, said)
+
+
+def _duration(view: View, linear: Step) -> float:
+    if linear.outcome is Outcome.SETTLES and np.isfinite(linear.settling) and linear.settling > 0:
+        longest = min(1.6 * linear.settling, LONGEST)
+    else:
+        growth = view.growth
+        longest = float(np.clip(GROWTH / growth, 0.05, LONGEST / 2)) if growth > 0 else LONGEST / 2
+    hardware = view.loop.equations.hardware
+    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=0.0)
+    return min(longest, SEGMENTS * grain) if grain else longest
+
+
+def _size(loop: ClosedLoop, source: str, channel: str) -> tuple[float, str]:
+    if source.startswith("F_d"):
+        asked = float(np.linalg.norm(wrench_asked(loop)))
+        return max(FORCE * asked, 1.0), "N" if channel[2] == "f" else "Nm"
+    if source.startswith("X_d"):
+        return (LINEAR, "m") if channel[2] == "v" else (ANGULAR, "rad")
+    unit = loop.robot.joint_units[loop.robot.joint_names.index(channel)]
+    return (PRISMATIC, "m") if unit == "m" else (JOINT, "rad")
+
+
+def wrench_asked(loop: ClosedLoop) -> Array:
+    """(6,) the wrench that a force law asks for; a copy."""
+    return np.array(getattr(loop.law, "F_d"), dtype=np.float64)  # noqa: B009 - not every law has one
+
+
+def _stepped(loop: ClosedLoop, source: str, size: float) -> ClosedLoop:
+    surfaces = list(loop.equations.surfaces) or None
+    if source.startswith("F_d_"):
+        F_d = wrench_asked(loop)
+        F_d[WRENCH.index(source.removeprefix("F_d_"))] += size
+        return replace(loop, law=replace(loop.law, F_d=F_d), environment=surfaces)  # type: ignore[type-var]
+    tool = source.startswith("X_d_")
+    delta = np.zeros(6 if tool else loop.robot.n)
+    delta[TWIST.index(source.removeprefix("X_d_")) if tool else loop.robot.joint_names.index(source.removeprefix("q_d_"))] = size
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MfcWarning)
+        if tool and loop.ref.space == "joint":
+            start = np.asarray(loop.ref(0.0).q)
+            return replace(loop, ref=Shifted(ToolOf(loop.ref, loop.equations), delta), environment=surfaces, q_start=start)
+        return replace(loop, ref=Shifted(loop.ref, delta), environment=surfaces)
+
+
+def _run(loop: ClosedLoop, view: View, i: int, duration: float) -> Any:
+    t = float(view.times[i]) + np.linspace(0.0, duration, SAMPLES + 1)
+    try:
+        return loop.simulate(t, x=view.lin.point.x[i], rtol=1e-7, atol=1e-9)
+    except MfcError:
+        return None
+
+
+def _output(run: Any, target: str, loop: ClosedLoop) -> Array:
+    if target.startswith("F_tip_"):
+        return np.asarray(run.force[:, WRENCH.index(target.removeprefix("F_tip_"))])
+    if target.startswith("X_"):
+        return np.asarray(run.error[:, TWIST.index(target.removeprefix("X_"))])
+    return np.asarray(run.q[:, loop.robot.joint_names.index(target.removeprefix("q_"))])

@@ -1,0 +1,194 @@
+"""A loop as a report sees it: its verdict, its linearisation, its margins, and the worst place along its path; each computed once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.report.document.document import Check, Number, written
+from mfc_analysis.report.loops.checks import checks
+from mfc_analysis.requirements.requirements import Requirements, Verdict
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.linearization.linearization import Linearization
+    from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.requirements.evidence import Evidence
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+NO_FEEDBACK = 1e-12  #: |L| below which nothing is fed back
+MOST_DECADES = 7.0  #: of a frequency axis
+FAR, FAST = 0.5, 10.0  #: [rad, m], [rad/s, m/s] beyond which a run that leaves its operating point is not followed
+
+
+class Place(NamedTuple):
+    """The worst place of a loop along its path."""
+
+    row: int  #: of the time
+    channel: int  #: of the analysis point
+    time: float  #: [s]
+    name: str  #: of the channel
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One loop with what its pages need.
+
+    Args:
+        name: the loop in the reader's words. times: (m,) [s]. at: analysis point; None: the plant input.
+    """
+
+    name: str
+    loop: ClosedLoop
+    times: Array
+    requirements: Requirements = field(default_factory=Requirements)
+    at: str | None = None
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What was asked and found."""
+        return self.requirements.check(self.loop, self.times, self.at)
+
+    @property
+    def evidence(self) -> Evidence:
+        """The figures behind the verdict."""
+        return self.verdict.evidence
+
+    @property
+    def point(self) -> str:
+        """The analysis point."""
+        return self.verdict.at
+
+    @property
+    def lin(self) -> Linearization:
+        """The loop linearised about its reference at the times."""
+        return self.evidence.linearization
+
+    @property
+    def margins(self) -> Margins:
+        """One-loop margins at the analysis point."""
+        return self.evidence.margins
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """The lines of the verdict, in the units of a reader."""
+        return checks(self.verdict)
+
+    @cached_property
+    def stable(self) -> bool:
+        """Whether the roots that are not at zero lie inside at all times, so that margins have a meaning."""
+        return bool(self.evidence.judged.all())
+
+    @cached_property
+    def fed_back(self) -> NDArray[np.bool_]:
+        """(n,) whether anything passes each channel of the analysis point at any time, judged by its loop transfer."""
+        grid = np.geomspace(1e-2, 1e3, 12) if not self.lin.dt else np.geomspace(1e-2, 0.9 * np.pi / self.lin.dt, 12)
+        few = self.lin.again(self.times[np.unique(np.linspace(0, len(self.times) - 1, 3).astype(int))])
+        return np.asarray(np.nanmax(np.abs(few.frequency_response(grid, self.point)), axis=(0, 2), initial=0.0) > NO_FEEDBACK)
+
+    @cached_property
+    def worst(self) -> Place:
+        """Where the phase margin is smallest; without a crossover the gain margins, then the peak decide; unstable: the rightmost root."""
+        m, names = self.margins, self.margins.channels
+        if not self.stable:
+            root = self.evidence.slowest_root()
+            i = int(np.argmin(np.abs(self.times - (root.when or 0.0))))
+            k = next((j for j, name in enumerate(names) if name == root.where), 0)
+            if not self.fed_back[k] and self.fed_back.any():
+                k = int(np.argmax(self.fed_back))
+            return Place(i, k, float(self.times[i]), names[k])
+        for values in (m.phase_deg, m.gain_increase, -m.gain_reduction, -m.sensitivity_peak):
+            kept = np.where(np.isnan(values), np.inf, values)
+            if np.isfinite(kept.min()) and kept.min() != 0:
+                i, k = (int(x) for x in np.unravel_index(int(np.argmin(kept)), kept.shape))
+                return Place(i, k, float(self.times[i]), names[k])
+        return Place(0, 0, float(self.times[0]), names[0])
+
+    def frequencies(self, count: int = 360) -> Array:
+        """(count,) [rad/s] around the poles and crossings at the worst place."""
+        i, k = self.worst.row, self.worst.channel
+        m = self.margins
+        at = np.concatenate(
+            [np.abs(self.evidence.spectrum.rates[i])] + [np.ravel(f[i, k]) for f in (m.crossover, m.reduction_frequency, m.increase_frequency)]
+        )
+        at = at[np.isfinite(at) & (at > 1e-6)]
+        low, high = (float(at.min()) / 20, float(at.max()) * 20) if at.size else (1e-2, 1e2)
+        if self.lin.dt:
+            high = np.pi / self.lin.dt * (1 - 1e-9)
+            low = min(low, high / 100)
+        if np.log10(high / low) > MOST_DECADES:
+            middle = float(m.crossover[i, k]) if np.isfinite(m.crossover[i, k]) else float(np.sqrt(low * high))
+            low, high = max(low, middle * 10 ** (-0.6 * MOST_DECADES)), min(high, middle * 10 ** (0.4 * MOST_DECADES))
+        return np.geomspace(low, high, count)
+
+    def response(self, frequencies: Array, at: str | None = None, channel: int | None = None) -> Complex:
+        """(nf,) L(jw) at the worst place (``channel``: another one), dead time included."""
+        one = self.lin.again(self.times[self.worst.row : self.worst.row + 1])
+        return np.asarray(one.frequency_response(frequencies, at or self.point)[0, self.worst.channel if channel is None else channel])
+
+    @property
+    def poles(self) -> Complex:
+        """(m, nx) closed-loop poles, slowest first, those at zero exact; dead time left out."""
+        return self.evidence.spectrum.poles
+
+    @property
+    def growth(self) -> float:
+        """[1/s] how fast the loop grows at the worst place: the largest real part of its poles; 0 where none is to the right."""
+        real = self.evidence.spectrum.rates[self.worst.row].real
+        return float(np.max(real[np.isfinite(real)], initial=0.0))
+
+    def calm(self, duration: float) -> float:
+        """How much of ``duration`` [s] a run from the worst place is worth following: until it is ``FAR`` from its reference or faster than ``FAST``.
+
+        All of it where the loop is stable and rests at its operating point.
+        """
+        if self.growth == 0 and not any(line.name == "residual" for line in self.verdict.lines):
+            return duration
+        x, start, span = self.lin.point.x[self.worst.row], self.worst.time, duration / 32
+        while True:
+            run = self.loop.simulate(start + np.linspace(0.0, span, 9), x=x)
+            if run.diverged or np.abs(run.error - run.error[0]).max() > FAR or np.abs(run.v).max() > FAST or span >= duration:
+                return span
+            span = min(2 * span, duration)
+
+    def summary(self) -> str:
+        """The finding, in a sentence made from the verdict."""
+        line, checks = self.verdict.worst, self.checks
+        if self.verdict.status == "PASS":
+            asked = len(checks)
+            lead = "Stable along the whole path" if asked == 1 else f"All {asked} limits are met"
+            return f"{lead}; {self.tightest()}."
+        said = checks[0]
+        place = f" ({said.place})" if said.place else ""
+        note = f": {line.note}" if line.note else ""
+        name = said.name[:1].upper() + said.name[1:]
+        if np.isnan(line.found):
+            return f"{name}: {said.value}{place}{note}."
+        if line.name == "stable":
+            word = "Not stable" if line.status == "FAIL" else "Stable, with a reservation"
+            return f"{word}: the rightmost root is at {said.value}{place}{note}."
+        return f"{name} is {said.value} where {said.limit} was asked{place}{note}."
+
+    def tightest(self) -> str:
+        """The margins at the worst place, in words."""
+        if not self.stable:
+            return "no margin is defined, for the loop is unstable"
+        w, m = self.worst, self.margins
+        phase, crossover = float(m.phase_deg[w.row, w.channel]), float(m.crossover[w.row, w.channel])
+        if not self.fed_back.any():
+            return "nothing is fed back, so there is no margin to lose"
+        where = place_words(w.name, w.time, len(self.times))
+        if not np.isfinite(phase):
+            return f"the loop has no crossover ({where})"
+        return f"the smallest phase margin is {Number(phase, '°')} at {Number(crossover, 'rad/s')} ({where})"
+
+
+def place_words(name: str, time: float, count: int) -> str:
+    """Channel and time in words; of a single time the channel alone."""
+    return name if count == 1 else f"{name}, t = {written(round(time, 4), exact=True)} s"

@@ -1,0 +1,105 @@
+"""Writing a document: HTML, PDF and JSON of one tree into one folder, the same bytes for the same input."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from importlib.metadata import PackageNotFoundError, version as version_of
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.report.document.document import Document
+
+if TYPE_CHECKING:
+    from mfc_analysis.report.document.scrubber import Moving
+
+Progress = Callable[[int, int], None]
+FORMATS = ("html", "pdf", "json")
+
+
+def render(
+    document: Document, folder: str | os.PathLike[str], formats: Sequence[str] = FORMATS, *, timestamp: int = 0, progress: Progress | None = None
+) -> dict[str, Path]:
+    """Writes ``folder/name.html``, ``.pdf`` and ``.json``; returns the path of each format.
+
+    Args:
+        folder: made if it isn't there. Nothing is written outside of it: the files' name is ``document.name`` reduced to a-z, 0-9 and hyphens.
+        timestamp: the PDF's date [s since 1970]; a date is an input, never the clock.
+        progress: called with (done, of how many) after each figure and each format.
+
+    Raises:
+        BadArgument: for a format that isn't there, or a folder that is a file.
+    """
+    from mfc_analysis.report.document.tree import slug
+
+    if isinstance(formats, str):
+        formats = tuple(formats.replace(",", " ").split())
+    for kind in formats:
+        if kind not in FORMATS:
+            raise BadArgument("formats", kind, "some of " + ", ".join(map(repr, FORMATS)))
+    target = Path(folder)
+    if target.exists() and not target.is_dir():
+        raise BadArgument("folder", str(folder), "a folder to write into")
+    pages = rendered(document, formats, timestamp=timestamp, progress=progress)
+    target.mkdir(parents=True, exist_ok=True)
+    name = slug(document.name)
+    out = {}
+    for kind, content in pages.items():
+        out[kind] = target / f"{name}.{kind}"
+        out[kind].write_bytes(content)
+    return out
+
+
+def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp: int = 0, progress: Progress | None = None) -> dict[str, bytes]:
+    """The bytes of each format, in the order asked for."""
+    from mfc_analysis.report.document.tree import tree
+    from mfc_analysis.report.render.numbers import numbers, to_json
+
+    flat = tree(document)
+    version = package_version()
+    drawings: dict[str, str] = {}
+    moving: dict[str, Moving] = {}
+    pages = "html" in formats or "pdf" in formats
+    count = _Count(progress, len(formats) + (len(flat.figures) if pages else 0))
+    if pages:
+        from mfc_analysis.plots.batch import drawn
+        from mfc_analysis.report.document import scrubber
+
+        drawings = dict(zip(flat.figures, drawn([f.draw for f in flat.figures.values()], progress=count), strict=True))
+        moving = {key: scrubber.moving(s) for key, s in flat.scrubbers.items()}
+    out: dict[str, bytes] = {}
+    for kind in formats:
+        if kind == "html":
+            from mfc_analysis.report.render.html import html
+            from mfc_analysis.report.render.mathml import mathml
+
+            out[kind] = html(flat, drawings, mathml(flat.equations), moving, version).encode("utf-8")
+        elif kind == "pdf":
+            from mfc_analysis.report.render.pdf import pdf
+
+            out[kind] = pdf(flat, drawings, moving, version, timestamp)
+        else:
+            out[kind] = to_json(numbers(document, flat, version)).encode("utf-8")
+        count(1)
+    return out
+
+
+class _Count:
+    """Adds up what is done."""
+
+    def __init__(self, told: Progress | None, total: int) -> None:
+        self.told, self.total, self.done = told, total, 0
+
+    def __call__(self, some: int) -> None:
+        self.done += some
+        if self.told is not None:
+            self.told(self.done, self.total)
+
+
+def package_version() -> str:
+    """The installed version of this package."""
+    try:
+        return version_of("mfc-analysis")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,131 @@
+"""The report of a study: the pages of its loops, and its ranges and design wishes as sections of their own."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mfc_analysis.study.check import LoopCheck, check as check_study
+from mfc_analysis.study.limits import limits
+
+if TYPE_CHECKING:
+    from mfc_analysis.design.searches import Limit
+    from mfc_analysis.report.document.document import Document, Section
+    from mfc_analysis.requirements.requirements import Line
+    from mfc_analysis.study.read import Study
+
+Progress = Callable[[str, int, int], None]
+
+MOST_ROWS = 40  #: cases shown on a page
+
+#: sections of a loop that ``report.sections`` of a study may choose from, and the titles they have
+PAGES: dict[str, tuple[str, ...]] = {
+    "loop": ("The loop and its parameters",),
+    "margins": ("How far it is from instability",),
+    "poles": ("Poles",),
+    "path": ("Along the path",),
+    "run": ("A step, linear and nonlinear", "A nonlinear run"),
+    "validation": ("How far the linear model holds",),
+    "pose": ("Where the arm is",),
+}
+
+
+def report(study: Study, out: str | os.PathLike[str], formats: Sequence[str], progress: Progress) -> tuple[Path, ...]:
+    """Writes the report of a study into ``out``, and nothing outside of it; returns the files.
+
+    Args:
+        formats: some of "html", "pdf", "json"; none: those of the study. progress: called with (what, done, of).
+    """
+    from mfc_analysis.report import render
+
+    loops = study.loops
+    analysed: list[str] = []
+
+    def done(name: str) -> None:
+        analysed.append(name)
+        progress(f"analysing {name}", len(analysed), len(loops))
+
+    found = document(study, done, progress)
+    files = render(found, out, formats or study.formats, progress=lambda some, of: progress("writing", some, of))
+    return tuple(files.values())
+
+
+def document(study: Study, done: Callable[[str], None] | None = None, progress: Progress = lambda what, some, of: None) -> Document:
+    """The report of a study as values."""
+    from mfc_analysis.report.loops.report import loop_document
+
+    loops = study.loops
+    made = loop_document(
+        {one.name: one.loop for one in loops},
+        {one.name: one.times for one in loops},
+        {one.name: one.requirements for one in loops},
+        at={one.name: one.at for one in loops},
+        title=study.title,
+        name=study.name,
+        command=f"mfc-analysis report {study.file.name} --out out",
+        inputs={path.name: path.read_bytes() for path in study.files()},
+        done=done,
+    )
+    chosen = study.table.report.sections
+    sections = list(made.sections)
+    if chosen is not None:
+        kept = {title for key in chosen for title in PAGES[key]}
+        sections = [replace(s, sections=tuple(inner for inner in s.sections if inner.title in kept)) for s in sections]
+    if any(one.table.ranges.model_fields_set for one in loops):
+        sections += [ranges_section(found) for found in check_study(study, progress) if found.cases > 1]
+    for one in loops:
+        searched = limits(one, progress)
+        if searched:
+            sections.append(limits_section(one.name, searched, many=len(loops) > 1))
+    return replace(made, sections=tuple(sections), subtitle=study.text or made.subtitle)
+
+
+def ranges_section(found: LoopCheck) -> Section:
+    """The worst line of each requirement over the ranges with the case it belongs to, and what came of each case."""
+    from mfc_analysis.report.document.document import Column, Section, Status, Table
+    from mfc_analysis.report.loops.checks import checks
+
+    worst, case = found.lines[0]
+    lines = tuple(replace(line, where=", ".join(part for part in (line.where, said) if part)) for line, said in found.lines)
+    ranked = sorted(found.verdicts, key=lambda pair: pair[1].worst.severity, reverse=True)[:MOST_ROWS]
+    words = [Column(head, numeric=False) for head in ("Case", "Tightest requirement", "Where")]
+    columns = (words[0], Column("Result"), words[1], Column("Found"), words[2])
+    rows = tuple((said, Status(v.status.value), v.worst.label, _found(v.worst), v.worst.place) for said, v in ranked)
+    which = f"the worst {len(rows)} of {found.cases} cases" if len(rows) < found.cases else f"all {found.cases} cases"
+    table = Table(f"{which[:1].upper()}{which[1:]}, the worst first; the controller's model stays what it is.", columns, rows)
+    finding = f"Of {found.cases} cases the worst is {case}: {worst.label} ({worst.place or 'everywhere'})."
+    numbers = {"cases": found.cases, "worst": {line.name: {"found": line.found, "case": said} for line, said in found.lines}}
+    shown = checks(replace(found.verdicts[0][1], lines=lines))
+    return Section(f"{found.loop.name}: over the ranges", finding, (table,), shown, numbers, loop=f"{found.loop.name}, over its ranges")
+
+
+def _found(line: Line) -> str:
+    return "undefined" if math.isnan(line.found) else f"{line.found:.4g} {line.unit}".rstrip()
+
+
+def limits_section(name: str, searched: Sequence[Limit], *, many: bool) -> Section:
+    """What was searched, what was found, and what is lost beyond."""
+    from mfc_analysis.report.document.document import Column, Number, Section, Table
+
+    columns = (Column("Limit", numeric=False), Column("Value"), Column("What binds", numeric=False), Column("Loops judged"))
+    rows = tuple(
+        (limit.name, Number(float(limit), limit.unit, digits=5), "; ".join([limit.binds or limit.outcome.value, *limit.notes]), limit.evaluations)
+        for limit in searched
+    )
+    first = searched[0]
+    finding = f"{first.name[:1].upper()}{first.name[1:]}: {Number(float(first), first.unit, digits=4)}."
+    title = f"{name}: how far it may go" if many else "How far it may go"
+    numbers = {limit.name: {"value": float(limit), "unit": limit.unit, "evaluations": limit.evaluations} for limit in searched}
+    return Section(title, finding, (Table("Limits by bisection on exact stability or on the requirements.", columns, rows),), numbers=numbers)
+
+
+def chapter(out: str | os.PathLike[str], formats: Sequence[str], progress: Progress) -> tuple[Path, ...]:
+    """Writes the report of the whole chapter into ``out``."""
+    from mfc_analysis.report.chapter.chapter import write_chapter
+
+    files = write_chapter(out, formats or ("html", "pdf", "json"), lambda some, of: progress("the chapter", some, of))
+    return tuple(files.values())

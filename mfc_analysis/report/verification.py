@@ -1,0 +1,192 @@
+"""The report of a test run: every loop that the tests assert on, with what was asked, the evidence, the verdict and the test's name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from mfc_analysis.errors import MfcError
+from mfc_analysis.report.document.document import (
+    Block,
+    Bullets,
+    Check,
+    Code,
+    Column,
+    Document,
+    Figure,
+    Mono,
+    Number,
+    Paragraph,
+    Scope,
+    Section,
+    Status,
+    Table,
+    written,
+)
+from mfc_analysis.report.document.provenance import provenance
+from mfc_analysis.report.loops.checks import checks
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.requirements.requirements import Verdict
+    from mfc_analysis.testing import Asserted
+
+POLES = 8  #: shown, slowest first
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One assertion, as values that can be sent from one process to another."""
+
+    test: str  #: id of the test
+    number: int  #: of the assertion within its test, from 0
+    what: str  #: "assert_margins", ...
+    loop: str  #: in words
+    checks: tuple[Check, ...]
+    passed: bool
+    notes: tuple[str, ...]
+    replay: str
+    at: str  #: analysis point; empty where there is none
+    times: Any  #: (m,) [s]
+    asked: Mapping[str, float]
+    margins: Margins | None
+    poles: Any  #: (k,) slowest poles [1/s] (or z) at the worst time; None where there are none
+    numbers: Mapping[str, float]
+    outcome: str = ""  #: of the test: "passed", "failed", ...; empty while it runs
+
+
+def record(asserted: Asserted, test: str, number: int) -> Record:
+    """What a report needs of an assertion that was made in ``test``. The evidence is completed with margins and poles."""
+    verdict = asserted.verdict
+    found = cast("Verdict", asserted)  # has the lines
+    if verdict is None:
+        v = asserted.validation
+        assert v is not None
+        numbers = {"taylor_order": v.taylor_order, "nrmse": v.nrmse, "radius": v.radius, "size": v.size, "time": v.time}
+        return Record(
+            test,
+            number,
+            asserted.what,
+            str(asserted.loop),
+            checks(found),
+            asserted.passed,
+            (),
+            asserted.replay,
+            "",
+            asserted.times,
+            {},
+            None,
+            None,
+            numbers,
+        )
+    evidence = verdict.evidence
+    try:
+        margins = evidence.margins
+    except MfcError:
+        margins = None
+    when = next((line.when for line in asserted.lines if line.when is not None), float(verdict.times[0]))
+    i = int(np.argmin(np.abs(verdict.times - when)))
+    asked = {line.name: line.asked for line in asserted.lines if line.name not in ("stable", "residual")}
+    poles = np.array(evidence.linearization.poles()[i][:POLES])
+    return Record(
+        test, number, asserted.what, str(asserted.loop), checks(found), asserted.passed, verdict.notes, asserted.replay, verdict.at,
+        np.array(verdict.times), asked, margins, poles, {},
+    )  # fmt: skip
+
+
+def with_outcomes(records: Sequence[Record], outcomes: Mapping[str, str]) -> list[Record]:
+    """The records with what came of their tests, in an order that does not depend on who ran them when."""
+    done = [replace(r, outcome=outcomes.get(r.test, "")) for r in records]
+    return sorted(done, key=lambda r: (r.test, r.number))
+
+
+def verification_document(records: Sequence[Record], lost: Sequence[str] = (), command: str = "") -> Document:
+    """The document of a test run.
+
+    An assertion that failed in a test that passed (a failure that was expected) is shown, but does not count.
+
+    Args:
+        records: of all assertions. lost: names of processes that ended without handing over theirs. command: for the provenance.
+    """
+    several = {r.test for r in records if r.number > 0}
+    sections = tuple(_section(r, f"{r.test}, assertion {r.number + 1}" if r.test in several else r.test) for r in records)
+    if lost:
+        said = f"{', '.join(lost)} ended without handing over the assertions made there: this report is not complete."
+        sections = (Section("Evidence lost", said, verdict=Status.FAIL), *sections)
+    tests = len({r.test for r in records})
+    failed = sum(not r.passed for r in records)
+    subtitle = f"{len(records)} assertion{'s' * (len(records) != 1)} on loops in {tests} test{'s' * (tests != 1)}; {failed} failed"
+    return Document("Verification report", subtitle, sections, "verification", _scope(records), provenance(command))
+
+
+def _section(r: Record, name: str) -> Section:
+    unexpected = not r.passed and r.outcome != "passed"
+    body: list[Block] = [Paragraph(("Loop: ", Mono(r.loop)))]
+    if r.notes:
+        body.append(Bullets(tuple(note[:1].upper() + note[1:] + "." for note in r.notes)))
+    body += _margins(r)
+    body += _poles(r)
+    if r.numbers:
+        rows = tuple((key.replace("_", " "), Number(x)) for key, x in r.numbers.items())
+        body.append(Table("Linear prediction against nonlinear simulation.", (Column("Figure", numeric=False), Column("Value")), rows))
+    body += [Paragraph("Code that makes the loop again and asks again:"), Code(r.replay)]
+    numbers: dict[str, Any] = {"test": r.test, "assertion": r.what, "passed": r.passed, "outcome": r.outcome, "times": r.times, "at": r.at}
+    numbers |= {"asked": dict(r.asked), **r.numbers} | _numbers(r.margins)
+    return Section(
+        name, _finding(r), tuple(body), r.checks, numbers, loop=name, shown="" if r.passed or unexpected else "the test expects this failure"
+    )
+
+
+def _finding(r: Record) -> str:
+    worst = max(r.checks, key=lambda c: c.severity)
+    place = f" ({worst.place})" if worst.place else ""
+    came = "holds" if r.passed else "failed"
+    test = f"; the test {r.outcome}" if r.outcome in ("failed", "skipped") and r.passed else ""
+    expected = "; the test passed, so this failure was expected and does not count" if not r.passed and r.outcome == "passed" else ""
+    return f"{r.what} {came}. Tightest: {worst.name} {worst.value} against {worst.limit}{place}{test}{expected}."
+
+
+def _margins(r: Record) -> list[Block]:
+    if r.margins is None:
+        return []
+    from mfc_analysis import plots
+
+    worst = str(r.margins.worst())
+    said = f"margins at {r.at!r}: {worst}"
+    out: list[Block] = [Paragraph(said[:1].upper() + said[1:] + ".")]
+    if len(r.times) > 1 and r.margins.stable.any():
+        asked = {k: v for k, v in r.asked.items() if k in ("phase_deg", "gain_increase_db", "gain_reduction_db", "delay", "sensitivity_peak")}
+        draw = partial(plots.margin_history, r.margins, asked or None)
+        span = f"from {written(float(r.times[0]), exact=True)} to {written(float(r.times[-1]), exact=True)} s"
+        out.append(Figure(draw, f"Margins at {r.at} {span}, a line per channel; dashed: what was asked.", f"Margins against time {span}: {worst}"))
+    return out
+
+
+def _poles(r: Record) -> list[Block]:
+    if r.poles is None or not len(r.poles):
+        return []
+    rows = tuple((k + 1, complex(p)) for k, p in enumerate(r.poles))
+    return [Table(f"The {len(r.poles)} slowest closed-loop poles where it is tightest.", (Column("No."), Column("Pole", "1/s or z")), rows)]
+
+
+def _numbers(m: Margins | None) -> dict[str, Any]:
+    if m is None:
+        return {}
+    names = ("stable", "gain_reduction", "gain_increase", "phase_deg", "delay", "sensitivity_peak")
+    return {"channels": m.channels} | {name: getattr(m, name) for name in names}
+
+
+def _scope(records: Sequence[Record]) -> Scope:
+    loops = tuple(dict.fromkeys(r.loop for r in records))
+    points = {r.at for r in records if r.at}
+    model = (*loops[:8], f"and {len(loops) - 8} more loops") if len(loops) > 8 else loops
+    return Scope(
+        model,
+        ("each loop is linearised about its reference, exactly", "margins are of one loop at a time, the others closed"),
+        (f"the times given in each test; margins at {', '.join(map(repr, sorted(points)))}",) if points else (),
+        ("whatever no test asserts; tests that failed before their assertion are not listed",),
+    )

@@ -1,0 +1,327 @@
+"""What a loop achieves, figure by figure: the worst value along the path, with its joint and time. ``requirements`` compares it with what was asked.
+
+Linear figures come from the loop linearised about its reference, all times at once; tracking error and torque from one
+nonlinear run along the reference, started on it with integrals at zero. Everything is computed at first use, once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
+from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.analysis.zero_roots import without_zero_roots
+from mfc_analysis.dynamics.jacobians import closed_matrix
+from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint
+from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import value
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.disk import DiskMargin
+    from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.analysis.stability import Stability
+    from mfc_analysis.linearization.linearization import Linearization
+    from mfc_analysis.linearization.tracking_steps import StepFigures
+    from mfc_analysis.simulation.simulation import Simulation
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+ROUNDING = 1e-9  #: part of the acceleration scale below which a residual is rounding
+RUN_POINTS = 400  #: of the nonlinear run, at least
+GRAVITY = 10.0  #: [m/s^2] the acceleration scale of an arm at rest
+SLIDES = 1e-8  #: part of the residual below which a slide is rounding
+HOLD_RUN = 2.0  #: [s] of a nonlinear run where neither times nor the reference say how long
+
+
+class Found(NamedTuple):
+    """A figure at its worst place."""
+
+    value: float  #: NaN where it is not defined, with the reason in ``note``
+    where: str = ""  #: joint or channel
+    when: float | None = None  #: [s]
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """The figures of one loop at m times.
+
+    Args:
+        loop: a ``ClosedLoop``.
+        times: (m,) [s], strictly increasing, or one number.
+        at: analysis point of margins and disk margin; None: the plant input.
+
+    Raises BadArgument, UnknownPoint for ``at``.
+    """
+
+    loop: ClosedLoop
+    times: Array
+    at: str | None = None
+    _cache: dict[str, Found] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.loop, ClosedLoop):
+            raise BadArgument("loop", self.loop, "a ClosedLoop")
+        object.__setattr__(self, "times", checks.times(self.times))
+        law = self.loop.law
+        if self.at is not None and (not isinstance(self.at, str) or self.at not in law.opens_at):
+            raise UnknownPoint(self.at, type(law).__name__, law.opens_at)
+        object.__setattr__(self, "at", self.loop.default_at if self.at is None else self.at)
+
+    # --- computed once -------------------------------------------------------------------------------------------
+
+    @cached_property
+    def linearization(self) -> Linearization:
+        """The loop linearised about its reference at the times."""
+        return self.loop.linearize(self.times)
+
+    @cached_property
+    def stability(self) -> Stability:
+        """The verdict of the poles, dead time included."""
+        return self.linearization.stability
+
+    @cached_property
+    def judged(self) -> Bools:
+        """(m,) where the roots that are not at zero are all inside, so that figures have a meaning."""
+        return np.asarray(self.stability.nonzero_stable & (self.spectrum.poles.shape[1] > self.spectrum.roots.count))
+
+    @property
+    def nothing_else(self) -> bool:
+        """True where every root is at zero, at all times."""
+        return bool((self.spectrum.roots.count >= self.spectrum.poles.shape[1]).all())
+
+    @cached_property
+    def margins(self) -> Margins:
+        """One-loop margins at ``at``."""
+        return self.linearization.margins(self.at)
+
+    @cached_property
+    def disk(self) -> DiskMargin:
+        """Disk margin at ``at``."""
+        return self.linearization.disk_margin(self.at)
+
+    @cached_property
+    def steps(self) -> StepFigures:
+        """Settling and overshoot of every reference channel to its own coordinate."""
+        from mfc_analysis.linearization.tracking_steps import step_figures
+
+        return step_figures(self.linearization)
+
+    @cached_property
+    def run(self) -> Simulation:
+        """The nonlinear run along the reference: over the times, or its duration, period, or 2 s where one time is given."""
+        first, last = float(self.times[0]), float(self.times[-1])
+        if last == first:
+            last = first + float(self.loop.ref.duration or self.loop.ref.period or HOLD_RUN)
+        grid = np.union1d(np.linspace(first, last, RUN_POINTS), self.times)
+        return self.loop.simulate(grid)
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        return spectrum(self.linearization.reduced)
+
+    # --- figures -------------------------------------------------------------------------------------------------
+
+    def found(self, figure: str) -> Found:
+        """A figure by the name of its requirement (``FIGURES``). Raises UnknownName."""
+        if figure not in FIGURES:
+            raise UnknownName("figure", figure, FIGURES)
+        if figure not in self._cache:
+            self._cache[figure] = FIGURES[figure](self)
+        return self._cache[figure]
+
+    def slowest_root(self) -> Found:
+        """Rightmost real part [1/s] of the roots that are not at zero, dead time included; -inf where there is none."""
+        roots, zero = self._roots
+        real = np.where(zero, -np.inf, roots.real)
+        i, k = np.unravel_index(int(np.argmax(real)), real.shape)
+        root = complex(roots[i, k])
+        note = f"{abs(root.imag):.4g} rad/s" if abs(root.imag) > 1e-9 * abs(root) else "real"
+        return Found(float(real[i, k]), self._joint_of(int(i), root), float(self.times[i]), note)
+
+    @cached_property
+    def _roots(self) -> tuple[NDArray[np.complex128], Bools]:
+        """Roots in the s plane and which of them are at zero (m, k): the poles, or with dead time the rightmost exact ones."""
+        lin, known = self.linearization, self.spectrum
+        if not (lin.delay or lin.force_delay):
+            return known.rates, known.zero
+        found = lin.delay_roots(known.poles.shape[1])  # as many as without dead time
+        return found, found == 0  # those at zero are exact
+
+    def implied_error(self) -> Found:
+        """How far [rad, m] the residual moves the joints in the end: |A^-1 r| of the linear loop; 0: rounding only.
+
+        r is what is left of every rate at the operating point. What no rate changes stays where it is; inf where a root at zero lets the
+        joints slide.
+        """
+        loop, lin = self.loop, self.linearization
+        nominal = loop.nominal(self.times)
+        left = _left_over(loop, lin.point.x, self.times, nominal.v, nominal.a)
+        if np.abs(left).max(initial=0.0) <= ROUNDING * (GRAVITY + np.abs(nominal.a).max(initial=0.0)):
+            return Found(0.0)
+        A = closed_matrix(loop.equations, self.times, lin.point.x, "state")
+        where = loop.equations.parts["q"].where
+        moved = np.stack([_displacement(A[i], left[i], where) for i in range(len(self.times))])
+        i, j = np.unravel_index(int(np.argmax(moved)), moved.shape)
+        return Found(float(moved[i, j]), loop.robot.joint_names[j], float(self.times[i]))
+
+    def _joint_of(self, i: int, s: complex) -> str:
+        """The joint (or state) that takes part most in the mode of root ``s``, by participation factors."""
+        lin = self.linearization
+        A = close_wires(lin.opened)[0][i] if lin.dt else lin.A[i]
+        if not np.isfinite(s):
+            return ""
+        found, right = np.linalg.eig(A)
+        k = int(np.argmin(np.abs(rates(found, lin.dt) - s)))
+        left = np.linalg.pinv(right)[k]
+        names = lin.state_names
+        name = names[int(np.argmax(np.abs(right[:, k] * left)))]
+        joints = [j for j in self.loop.robot.joint_names if name.endswith(j)]
+        return max(joints, key=len) if joints else name
+
+    def _unstable(self) -> Found:
+        bad = np.flatnonzero(~self.judged)
+        if self.nothing_else:
+            return Found(np.nan, "", float(self.times[bad[0]]), "every root is at zero: nothing to judge")
+        root = self.slowest_root()
+        return Found(np.nan, root.where, float(self.times[bad[0]]), f"unstable at {bad.size} of {self.times.size} times")
+
+
+# --- one function for each figure ------------------------------------------------------------------------------------
+
+
+def _margin(name: str, largest: bool = False) -> Callable[[Evidence], Found]:
+    def found(e: Evidence) -> Found:
+        if not e.judged.all():
+            return e._unstable()
+        values = getattr(e.margins, name)
+        sensed = ~np.isnan(values).all(axis=0)
+        if e.at == "force" and sensed.any():
+            values = np.where(sensed, values, -np.inf if largest else np.inf)
+        return _worst(values, e.margins.channels, e.times, largest)
+
+    return found
+
+
+def _worst(values: Array, channels: tuple[str, ...], times: Array, largest: bool) -> Found:
+    bad = np.isnan(values)
+    flat = int(np.argmax(bad)) if bad.any() else int(np.argmax(values) if largest else np.argmin(values))
+    i, k = np.unravel_index(flat, values.shape)
+    return Found(float(values[i, k]), channels[k], float(times[i]), "not defined" if bad.any() else "")
+
+
+def _disk(e: Evidence) -> Found:
+    if not e.judged.all():
+        return e._unstable()
+    alpha = e.disk.alpha
+    i = int(np.argmax(np.isnan(alpha)) if np.isnan(alpha).any() else np.argmin(alpha))
+    return Found(float(alpha[i]), f"all channels, {e.disk.frequency[i]:.4g} rad/s", float(e.times[i]), "" if np.isfinite(alpha[i]) else "not defined")
+
+
+def _damping(e: Evidence) -> Found:
+    roots, zero = e._roots
+    size = np.abs(roots)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(np.isneginf(roots.real), 1.0, -roots.real / size)
+    ratio = np.where(zero, np.inf, ratio)
+    i, k = np.unravel_index(int(np.argmin(ratio)), ratio.shape)
+    if zero.all():
+        return e._unstable()
+    note = f"of the {roots.shape[1]} rightmost roots" if e.linearization.delay or e.linearization.force_delay else f"{size[i, k]:.4g} rad/s"
+    return Found(float(ratio[i, k]), e._joint_of(int(i), complex(roots[i, k])), float(e.times[i]), note)
+
+
+def _settling(e: Evidence) -> Found:
+    return _step(e, "settling")
+
+
+def _overshoot(e: Evidence) -> Found:
+    return _step(e, "overshoot")
+
+
+def _step(e: Evidence, name: str) -> Found:
+    if not e.judged.all():
+        return e._unstable()
+    values = getattr(e.steps, name)
+    if values.size == 0:
+        return Found(np.nan, "", None, "no reference channel moves a coordinate of its own")
+    found = _worst(values, e.steps.channels, e.times, True)
+    if np.isnan(found.value):
+        return found._replace(note="the coordinate does not follow its reference to a steady value")
+    return found._replace(note="never settles: a root at zero integrates the step") if np.isinf(found.value) else found
+
+
+def _tracking(e: Evidence) -> Found:
+    run = e.run
+    if run.diverged:
+        return Found(np.nan, "", run.end, run.message)
+    names = tuple(f"X_e_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")) if e.loop.law.space == "tool" else e.loop.robot.joint_names
+    return _worst(np.abs(run.error), names, run.t, True)
+
+
+def _torque(e: Evidence) -> Found:
+    run, loop = e.run, e.loop
+    if run.diverged:
+        return Found(np.nan, "", run.end, run.message)
+    torque = loop.equations.actuator == "torque"
+    limit = np.array(loop.robot.limits.torque if torque else loop.robot.limits.velocity)
+    if torque and loop.equations.hardware.torque_limit is not None:
+        limit = np.minimum(limit, loop.equations.hardware.per_joint("torque_limit", loop.robot.n))
+    known = np.isfinite(limit)
+    if not known.any():
+        return Found(np.nan, "", None, f"the robot has no {'torque' if torque else 'velocity'} limits to compare with")
+    found = _worst(np.where(known, np.abs(run.command) / limit, 0.0), loop.robot.joint_names, run.t, True)
+    what = "" if torque else "commanded velocity to its limit"
+    missing = [j for j, there in zip(loop.robot.joint_names, known, strict=True) if not there]
+    return found._replace(note=what or (f"no limit known of {', '.join(missing)}" if missing else ""))
+
+
+#: figure (a field of ``Requirements``) -> how it is found
+FIGURES: dict[str, Callable[[Evidence], Found]] = {
+    "gain_increase_db": _margin("gain_increase_db"),
+    "gain_reduction_db": _margin("gain_reduction_db"),
+    "phase_deg": _margin("phase_deg"),
+    "delay": _margin("delay"),
+    "sensitivity_peak": _margin("sensitivity_peak", largest=True),
+    "damping_ratio": _damping,
+    "disk_margin": _disk,
+    "settling_time": _settling,
+    "overshoot": _overshoot,
+    "tracking_error": _tracking,
+    "torque_fraction": _torque,
+}
+
+
+# --- what is left over at an operating point -------------------------------------------------------------------------
+
+
+def _left_over(loop: ClosedLoop, x: Array, times: Array, v: Array, a: Array) -> Array:
+    """(m, nx) rates at the operating points less those of the reference's own motion."""
+    equations = loop.equations
+    slots = equations.split(np.array(value(equations.rates(times, x))))
+    torque = equations.actuator == "torque"
+    for name, moving in (("q", v), ("theta", v), *((("v", a), ("omega", a)) if torque else ())):
+        if name in slots:
+            slots[name] = value(slots[name]) - moving
+    return np.array(value(equations.join(slots)))
+
+
+def _displacement(A: Array, left: Array, where: slice) -> Array:
+    """(n,) |positions| at the end of x' = A x + left from zero: the steady part, inf where a root at zero slides."""
+    parts = without_zero_roots(A, left[:, None], np.eye(len(A))[where])
+    steady = parts.C @ np.linalg.solve(parts.A, parts.B) if len(parts.A) else np.zeros((where.stop - where.start, 1))
+    out = np.abs(steady[:, 0])
+    push = parts.B_zero
+    for _ in range(len(parts.A_zero)):
+        slide = np.abs(parts.C_zero @ push)[:, 0]
+        out[slide > SLIDES * (np.abs(parts.C_zero) @ np.abs(push))[:, 0] + SLIDES * np.abs(left).max()] = np.inf
+        push = parts.A_zero @ push
+    return out

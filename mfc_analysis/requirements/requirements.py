@@ -1,0 +1,298 @@
+"""Requirements and verdicts: what was asked of a loop, what it achieves along its path, and PASS, WATCH or FAIL.
+
+A verdict always has the line "stable". It is
+
+- FAIL where a limit is missed or a figure is not defined: NaN never passes;
+- WATCH where every limit is met with a reservation: the loop drifts, or the residual at its operating points matters;
+- PASS otherwise.
+
+A residual matters when the steady error it implies, abs(A^-1 r) of the linear loop, is above ``RESIDUAL_MATTERS`` [rad, m] (or above
+the tracking error asked for, if that is smaller): the figures then belong to a point at which the loop does not rest. Gravity
+under a law without model and integral is the usual case; where nothing holds the joint the implied error is infinite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from math import inf, isnan, nan
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths import checks
+from mfc_analysis.requirements.evidence import Evidence, Found
+
+RESIDUAL_MATTERS = 1e-3  #: [rad, m] implied steady error above which a verdict is WATCH at best
+
+
+class Status(StrEnum):
+    """What came of a check; compares with the word: ``verdict.status == "PASS"``."""
+
+    PASS = "PASS"
+    WATCH = "WATCH"
+    FAIL = "FAIL"
+
+    @property
+    def rank(self) -> int:
+        """0 (PASS) to 2 (FAIL): the larger, the worse."""
+        return ("PASS", "WATCH", "FAIL").index(self.value)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a requirement is about: its name in words, unit, direction, and the values it takes."""
+
+    label: str
+    unit: str
+    least: bool  #: True: at least (margins); False: at most
+    low: float = 0.0
+    high: float = inf
+
+
+KINDS: Mapping[str, Kind] = {
+    "gain_increase_db": Kind("gain margin, up", "dB", True),
+    "gain_reduction_db": Kind("gain margin, down", "dB", True),
+    "phase_deg": Kind("phase margin", "deg", True, high=180.0),
+    "delay": Kind("delay margin", "s", True),
+    "sensitivity_peak": Kind("sensitivity peak", "", False, low=1.0),
+    "damping_ratio": Kind("damping ratio", "", True, high=1.0),
+    "disk_margin": Kind("disk margin", "", True, high=2.0),
+    "settling_time": Kind("settling time", "s", False),
+    "overshoot": Kind("overshoot", "", False),
+    "tracking_error": Kind("tracking error", "rad or m", False),
+    "torque_fraction": Kind("torque fraction", "", False),
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a verdict: a requirement, asked and found, at its worst place."""
+
+    name: str  #: field of ``Requirements``, or "stable", "residual"
+    label: str  #: in words
+    asked: float  #: the limit, in ``unit``
+    found: float  #: in ``unit``; NaN where it is not defined (the loop is unstable, ...)
+    unit: str
+    distance: float  #: how far inside the limit, in ``unit``; negative: missed; NaN: not defined
+    status: Status
+    where: str = ""  #: joint or channel
+    when: float | None = None  #: [s]
+    sense: str = "≥"  #: "≥" at least, "≤" at most, "<" below
+    note: str = ""
+
+    @property
+    def severity(self) -> tuple[int, float]:
+        """Sorts lines, worst last: by status, then by the distance to the limit relative to it."""
+        if self.status is Status.FAIL and self.name == "stable":
+            return self.status.rank + 1, inf
+        if isnan(self.distance):
+            return self.status.rank, inf
+        scale = abs(self.asked) or 1.0
+        return self.status.rank, -self.distance / scale
+
+    @property
+    def place(self) -> str:
+        """Where and when in words, empty if neither is known."""
+        at = "" if self.when is None else f"t = {self.when:.4g} s"
+        return ", ".join(part for part in (self.where, at) if part)
+
+    def __str__(self) -> str:
+        return "  ".join(cell for cell in self.cells() if cell)
+
+    def cells(self) -> tuple[str, ...]:
+        """Status, label, found, asked, distance, place, note: the row of the table."""
+        unit = f" {self.unit}" if self.unit else ""
+        found = "undefined" if isnan(self.found) else f"{self.found:.6g}{unit}"
+        asked = "" if isnan(self.asked) else f"{self.sense} {self.asked:.6g}{unit}"
+        distance = "" if isnan(self.distance) else f"{self.distance:+.3g}{unit}"
+        return self.status.value, self.label, found, asked, distance, self.place, self.note
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What came of asking: a line for each requirement, failures first, and the status of the worst."""
+
+    lines: tuple[Line, ...]
+    loop: str  #: the loop in words
+    at: str  #: analysis point of the margins
+    times: np.ndarray[Any, np.dtype[np.float64]]  #: (m,) [s]
+    notes: tuple[str, ...]  #: what else to know, a sentence each
+    drifts: bool
+    evidence: Evidence
+
+    @property
+    def status(self) -> Status:
+        """The worst of the lines."""
+        return max((line.status for line in self.lines), key=lambda s: s.rank)
+
+    @property
+    def passed(self) -> bool:
+        """True only for PASS: WATCH has a reservation that somebody has to read."""
+        return self.status is Status.PASS
+
+    @property
+    def failed(self) -> tuple[Line, ...]:
+        """The lines that fail, the worst first."""
+        return tuple(line for line in self.lines if line.status is Status.FAIL)
+
+    @property
+    def worst(self) -> Line:
+        """The first line: the worst by status and distance."""
+        return self.lines[0]
+
+    def line(self, name: str) -> Line:
+        """The line of one requirement, by its field name. Raises UnknownName."""
+        for line in self.lines:
+            if line.name == name:
+                return line
+        raise UnknownName("name", name, [line.name for line in self.lines])
+
+    def __str__(self) -> str:
+        m = len(self.times)
+        when = f"t = {self.times[0]:.4g} s" if m == 1 else f"{m} times from {self.times[0]:.4g} to {self.times[-1]:.4g} s"
+        rows = [("", "requirement", "found", "asked", "distance", "where", ""), *(line.cells() for line in self.lines)]
+        wide = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+        table = ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, wide, strict=True)).rstrip() for row in rows]
+        return "\n".join([f"{self.status.value}: {self.loop}; margins at {self.at!r}; {when}", *table, *(f"  note: {note}" for note in self.notes)])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        from mfc_analysis.notebook import table
+
+        signs = {"PASS": "✓", "WATCH": "!", "FAIL": "✗"}
+        heads = ("", "requirement", "found", "asked", "distance", "where", "")
+        rows = [(f"{signs[line.status]} {line.status}", *line.cells()[1:]) for line in self.lines]
+        return table(str(self).splitlines()[0], heads, rows, self.notes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Requirements:
+    """What is asked of a loop; every field is optional, and stability is always asked.
+
+    The margins hold at every time and channel of the analysis point, one loop at a time with the others closed.
+
+    Raises:
+        BadArgument: a value is not a number, not finite, or outside what the figure can be.
+    """
+
+    gain_increase_db: float | None = None  #: [dB] the gain may grow by at least this
+    gain_reduction_db: float | None = None  #: [dB] the gain may fall by at least this: -20 log10(reduction)
+    phase_deg: float | None = None  #: [deg] 0 .. 180
+    delay: float | None = None  #: [s] more dead time that the loop survives
+    sensitivity_peak: float | None = None  #: at most; >= 1
+    damping_ratio: float | None = None  #: of every closed-loop pole that is not at zero; 0 .. 1 (dead time: of the rightmost roots)
+    disk_margin: float | None = None  #: alpha, all channels at once; 0 .. 2
+    settling_time: float | None = None  #: [s] 2 % settling of every linear step of a reference channel to its own coordinate
+    overshoot: float | None = None  #: fraction of the final value, of the same steps
+    tracking_error: float | None = None  #: [rad, m] largest component of e (X_e) in a nonlinear run along the reference, integrals at 0
+    torque_fraction: float | None = None  #: largest commanded torque / limit in that run (velocity laws: velocity / limit)
+
+    def __post_init__(self) -> None:
+        for name, kind in KINDS.items():
+            given = getattr(self, name)
+            if given is not None:
+                object.__setattr__(self, name, checks.number(name, given, low=kind.low, high=kind.high))
+
+    @classmethod
+    def from_mapping(cls, asked: Mapping[str, Any]) -> Self:
+        """Requirements from a mapping, such as a table of a study. Raises UnknownName for a key that isn't one, BadArgument for a value."""
+        if not isinstance(asked, Mapping):
+            raise BadArgument("requirements", asked, f"a mapping of some of {', '.join(KINDS)} to numbers")
+        for name in asked:
+            if name not in KINDS:
+                raise UnknownName("requirements", name, KINDS)
+        return cls(**asked)
+
+    def asked(self) -> dict[str, float]:
+        """The fields that are asked, with their limits."""
+        return {f.name: float(getattr(self, f.name)) for f in fields(self) if getattr(self, f.name) is not None}
+
+    def check(self, loop: ClosedLoop, times: ArrayLike, at: str | None = None) -> Verdict:
+        """The verdict over one loop.
+
+        Args:
+            times: (m,) [s] where it is linearised about its reference; the nonlinear run goes from the first to the last.
+            at: analysis point of the margins; None: the plant input.
+
+        Raises BadArgument (not a loop, times), UnknownPoint for ``at``, NearSingular.
+        """
+        evidence = Evidence(loop, times, at)  # type: ignore[arg-type]
+        lines = [_stable(evidence)]
+        lines += [compared(name, limit, evidence.found(name)) for name, limit in self.asked().items()]
+        lines += _residual(evidence, self.tracking_error)
+        lines.sort(key=lambda line: line.severity, reverse=True)
+        assert evidence.at is not None
+        return Verdict(tuple(lines), str(loop), evidence.at, evidence.times, _notes(evidence), bool(evidence.stability.drifts.any()), evidence)
+
+    def __str__(self) -> str:
+        parts = [
+            f"{KINDS[name].label} {'≥' if KINDS[name].least else '≤'} {limit:g} {KINDS[name].unit}".rstrip() for name, limit in self.asked().items()
+        ]
+        return "stable" if not parts else "stable, " + ", ".join(parts)
+
+
+def compared(name: str, limit: float, found: Found) -> Line:
+    """The line of one requirement: asked against found. NaN fails."""
+    kind = KINDS[name]
+    met = found.value >= limit if kind.least else found.value <= limit
+    distance = found.value - limit if kind.least else limit - found.value
+    status = Status.PASS if met else Status.FAIL
+    return Line(name, kind.label, limit, found.value, kind.unit, distance, status, found.where, found.when, "≥" if kind.least else "≤", found.note)
+
+
+def _stable(evidence: Evidence) -> Line:
+    """The line "stable": the rightmost root that is not at zero lies in the left half plane, and nothing drifts."""
+    verdict = evidence.stability
+    neutral, drifting = int(verdict.neutral.max(initial=0)), verdict.drifts
+    if evidence.nothing_else:
+        status = Status.WATCH if drifting.any() else Status.FAIL
+        note = "drifts: a root at zero in a chain" if drifting.any() else f"neutral, not stable: {neutral} free positions and nothing else"
+        return Line("stable", "stable", 0.0, nan, "1/s", nan, status, "", float(evidence.times[0]), "<", note)
+    root = evidence.slowest_root()
+    notes = [f"neutral: {neutral} free position{'s' if neutral > 1 else ''}"] if neutral else []
+    status = Status.PASS
+    if not verdict.nonzero_stable.all():
+        status = Status.FAIL
+        bad = np.flatnonzero(~verdict.nonzero_stable)
+        notes.append(f"not stable at {bad.size} of {evidence.times.size} times, first t = {evidence.times[bad[0]]:.4g} s")
+    elif drifting.any():
+        status = Status.WATCH
+        first = float(evidence.times[int(np.argmax(drifting))])
+        notes.append(f"drifts at {int(drifting.sum())} of {evidence.times.size} times, first t = {first:.4g} s: a position slides or a speed ramps")
+    elif not verdict.stable.all():
+        status = Status.FAIL
+    return Line("stable", "stable", 0.0, root.value, "1/s", -root.value, status, root.where, root.when, "<", "; ".join(notes))
+
+
+def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
+    """A line only where the residual matters."""
+    limit = RESIDUAL_MATTERS if tracking is None else min(RESIDUAL_MATTERS, tracking)
+    found = evidence.implied_error()
+    if found.value <= limit:
+        return []
+    unit = "rad/s or m/s" if evidence.loop.equations.actuator == "velocity" else "rad/s^2 or m/s^2"
+    largest = float(np.abs(evidence.linearization.residual).max(initial=0.0))
+    note = f"the loop does not rest at its operating point: what is left there (residual {largest:.3g} {unit}) moves it this far"
+    return [Line("residual", "error at rest", limit, found.value, "rad or m", limit - found.value, Status.WATCH, found.where, found.when, "≤", note)]
+
+
+def _notes(evidence: Evidence) -> tuple[str, ...]:
+    """Neutral roots, frozen time, dead time and idle integrals: what a reader of the figures must know."""
+    out, verdict, lin = [], evidence.stability, evidence.linearization
+    if not evidence.loop.ref.is_hold:
+        out.append(
+            f"frozen-time figures on a moving reference (coordinates {lin.coordinates!r}); floquet() or transient_growth() say what motion does"
+        )
+    if verdict.neutral.any():
+        out.append(f"neutral roots (free positions), left out of the figures: {int(verdict.neutral.max())}")
+    if verdict.idle.any():
+        out.append(f"integrals that act on nothing, left out: {int(verdict.idle.max())}")
+    if verdict.drifts.any():
+        out.append("the loop drifts: its margins are those of the roots that are not at zero, and no verdict is better than WATCH")
+    return tuple(out)

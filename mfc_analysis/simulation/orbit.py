@@ -1,0 +1,68 @@
+"""The truth on a moving reference: transition matrices along a run, Floquet multipliers on the true orbit, transient growth."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.floquet import STEPS, Floquet, floquet as multipliers_of, gauss_nodes, period_map, shoot, transition_magnus
+from mfc_analysis.analysis.sampled import sampled
+from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
+from mfc_analysis.dynamics.operating_point import on_reference
+from mfc_analysis.errors import BadArgument, NotConverged, Unsupported
+from mfc_analysis.maths import checks
+from mfc_analysis.simulation.simulation import Simulation, simulate
+
+Array = NDArray[np.float64]
+
+TIGHT = {"rtol": 1e-10, "atol": 1e-12}
+
+__all__ = ["Floquet", "floquet", "transitions_along"]
+
+
+def transitions_along(e: Equations, run: Simulation, edges: Array) -> Array:
+    """(N, nx, nx) transition matrices of the linearised loop along a run, one for each step between the N + 1 ``edges`` [s]."""
+    nodes = gauss_nodes(edges)
+    flat = np.ravel(nodes)
+    A = closed_matrix(e, flat, run.state(flat))
+    return transition_magnus(A.reshape(*nodes.shape, *A.shape[1:]), np.diff(edges))
+
+
+def floquet(e: Equations, period: float | None = None) -> Floquet:
+    """Multipliers of the closed loop on its true periodic orbit: Newton shooting, Phi by fourth-order Magnus steps.
+
+    With a sample time the period must be a whole number of samples, and Phi is the product of the discrete steps.
+    Raises BadArgument (no period), Unsupported (dead time without a sample time), NotConverged (no orbit found).
+    """
+    T = e.reference_source.period if period is None else checks.number("period", period, low=0.0, strict=True)
+    if T is None:
+        raise BadArgument("period", None, "a period [s]: this reference has none of its own")
+    hardware = e.hardware
+    if hardware.sample_time is not None:
+        return _sampled(e, float(T))
+    if hardware.delay is not None or hardware.force_delay is not None:
+        takes = "a sample_time beside it: the period map of a continuous loop with dead time has no finite matrix"
+        raise Unsupported("hardware.delay", hardware.delay or hardware.force_delay, takes)
+    edges = np.linspace(0.0, float(T), STEPS + 1)
+
+    def advance(x: Array) -> tuple[Array, Array]:
+        run = simulate(e, [0.0, float(T)], x, None, method="LSODA", **TIGHT)
+        if run.diverged:
+            raise NotConverged(f"no periodic orbit found: {run.message}")
+        return run.x[-1], period_map(transitions_along(e, run, edges))
+
+    start = on_reference(e, np.zeros(1)).x[0]
+    orbit = shoot(advance, start, tolerance=1e-9)
+    return multipliers_of(orbit.Phi, float(T), orbit=orbit)
+
+
+def _sampled(e: Equations, T: float) -> Floquet:
+    dt = float(e.hardware.sample_time)  # type: ignore[arg-type]
+    count = round(T / dt)
+    if count < 1 or abs(T - count * dt) > 1e-9 * T:
+        raise Unsupported("period", T, f"a whole number of samples of {dt:g} s in a sampled loop")
+    times = np.asarray(dt * np.arange(count), float)
+    A = close_wires(sampled(open_system(e, times, on_reference(e, times).x), dt))[0]
+    return multipliers_of(period_map(A), T)

@@ -1,0 +1,186 @@
+"""What the linear model says of a disturbed run, with dead time and with sampling: the other side of a validation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.analysis.floquet import gauss_nodes, transition_magnus
+from mfc_analysis.analysis.sampled import sampled
+from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.dynamics.jacobians import open_system
+from mfc_analysis.simulation.delayed import NODES, History
+from mfc_analysis.simulation.sampled import own_states_step
+from mfc_analysis.simulation.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+
+def delayed(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
+    """(N, nx) x' = A(t) x + B w(t - T), w = C x + D w(t - T) along the base run, from ``direction``; before the start w is constant.
+
+    Runge-Kutta of fourth order on segments no longer than the shortest dead time, A(t) a cubic through four points of each.
+    """
+    delays = [float(d) for d in (e.hardware.delay, e.hardware.force_delay) if d is not None]
+    whole = max(int(np.ceil((t[-1] - t[0]) / min(delays) - 1e-9)), 1)
+    edges = np.linspace(t[0], t[-1], whole + 1)
+    at_thirds = np.linspace(t[0], t[-1], 3 * whole + 1)
+    sent = None if base.arrived is None else {e.actuator: np.stack([base.arrived(float(ti)) for ti in at_thirds])}
+    system = open_system(e, at_thirds, base.state(at_thirds), arriving=sent)
+    late = system.wire_delay > 0
+    nu, ny, T = system.nu, system.ny, system.wire_delay[late]
+    A, B, C, D = close_wires(system, late)
+    along = [_Cubic(M, edges) for M in (A, B[:, :, nu:], C[:, ny:], D[:, ny:, nu:])]
+    At, Bt, Ct, Dt = along
+    out = np.empty((len(t), e.nx))
+    x = direction.copy()
+    past = History(float(t[0]), np.asarray(np.linalg.solve(np.eye(late.sum()) - D[0, ny:, nu:], C[0, ny:] @ x), float))
+    substeps = 8
+    for k in range(whole):
+        start, h = float(edges[k]), float(edges[k + 1] - edges[k]) / substeps
+        states = [x]
+
+        def arriving(at: float) -> Array:
+            return np.array([past.at(at - Ti)[i] for i, Ti in enumerate(T)])
+
+        for j in range(substeps):
+            at = start + j * h
+            w0, w1, w2 = arriving(at), arriving(at + h / 2), arriving(at + h)
+            A0, A1, A2 = (At.at(k, ti) for ti in (at, at + h / 2, at + h))
+            B0, B1, B2 = (Bt.at(k, ti) for ti in (at, at + h / 2, at + h))
+            k1 = A0 @ x + B0 @ w0
+            k2 = A1 @ (x + h / 2 * k1) + B1 @ w1
+            k3 = A1 @ (x + h / 2 * k2) + B1 @ w1
+            k4 = A2 @ (x + h * k3) + B2 @ w2
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            states.append(x)
+        here = np.array(states)
+        ticks = np.asarray(start + h * np.arange(substeps + 1), float)
+        inside = (t >= start - 1e-12) & (t <= edges[k + 1] + 1e-12)
+        out[inside] = _between(ticks, here, t[inside])
+        nodes = np.asarray(start + NODES * (edges[k + 1] - start), float)
+        pairs = zip(nodes, _between(ticks, here, nodes), strict=True)
+        signals = np.stack([Ct.at(k, float(ti)) @ xi + Dt.at(k, float(ti)) @ arriving(float(ti)) for ti, xi in pairs])
+        past.add(start, float(edges[k + 1] - start), signals)
+    return out
+
+
+class _Cubic:
+    """Matrices along the path: in each segment the cubic through its ends and thirds."""
+
+    def __init__(self, M: Array, edges: Array) -> None:
+        self.M, self.edges = M, edges
+
+    def at(self, k: int, t: float) -> Array:
+        s = 3 * (t - self.edges[k]) / (self.edges[k + 1] - self.edges[k])
+        w = [-(s - 1) * (s - 2) * (s - 3) / 6, s * (s - 2) * (s - 3) / 2, -s * (s - 1) * (s - 3) / 2, s * (s - 1) * (s - 2) / 6]
+        return np.asarray(np.tensordot(w, self.M[3 * k : 3 * k + 4], axes=1))
+
+
+def _between(ticks: Array, states: Array, t: Array) -> Array:
+    from scipy.interpolate import make_interp_spline
+
+    return np.asarray(make_interp_spline(ticks, states, k=5)(t))
+
+
+# --- sampled loops -----------------------------------------------------------------------------------------------
+
+
+def sampled_at_rest(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
+    """(N, nx) by the discrete model of the loop, whose powers these are: the base run stays where it is."""
+    opened, nx = sampled(open_system(e, t[:1], base.state(t[:1])), float(e.hardware.sample_time or 0.0)), e.nx
+    A = close_wires(opened)[0][0]
+    command, sensed = _first_signals(e, base, direction)
+    x = np.zeros(opened.nx)
+    x[:nx] = direction
+    for i, name in enumerate(opened.state_names[nx:], start=nx):  # samples under way at the start
+        point, _, channel = name.partition("[")
+        j = opened.wire_names[opened.wires[point]].index(channel.partition("] ")[2])
+        x[i] = sensed[j] if point == "force" else command[j]
+    out = np.empty((len(t), nx))
+    for k in range(len(t)):
+        out[k] = x[:nx]
+        x = A @ x
+    return out
+
+
+def _first_signals(e: Equations, base: Simulation, direction: Array) -> tuple[Array, Array]:
+    """What the law commands and the sensor reads at the disturbed start, where everything is fresh: (n,) and (6,)."""
+    system = open_system(e, base.t[:1], base.x[:1])
+    keep = np.zeros(system.nw, bool)
+    keep[system.wires[e.actuator]] = True
+    command = close_wires(system, keep)[2][0, system.ny :] @ direction
+    force = system.C[0, system.ny :][system.wires["force"]] @ direction if "force" in system.wires else np.zeros(6)
+    return command, force
+
+
+def sampled_along(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
+    """(N, nx) along a moving base run: the plant linearised at Gauss nodes within each sample, the law at the samples.
+
+    The same order of events as in ``sampled_run.run_sampled``: read, command, hold after the dead time, own states advanced with inputs held.
+    """
+    T = float(e.hardware.sample_time or 0.0)
+    delay, force_delay = (float(d or 0.0) for d in (e.hardware.delay, e.hardware.force_delay))
+    start, nx = float(t[0]), e.nx
+    samples = np.asarray(start + T * np.arange(len(t)), float)
+    edges = np.unique(np.round(np.concatenate([samples, samples + delay % T, samples - force_delay]), 13))
+    edges = edges[(edges >= start) & (edges <= samples[-1])]
+    edges = edges[np.concatenate([[True], np.diff(edges) > 1e-9 * T])]
+    steps = _plant_steps(e, base, edges)
+    command_x, command_f, own_x, own_f, sense = _law_rows(e, base, samples[:-1])
+    plant = np.array(e.plant_states, int)
+    own = np.setdiff1d(np.arange(nx), plant)
+    advance = own_states_step(e, start, base.x[0], T)
+    out = np.empty((len(t), nx))
+    x = direction.copy()
+    sent: list[Array] = []
+    seen = {0: sense[0] @ x}  # force at the edges, by index
+    at = 0
+    for k in range(len(t) - 1):
+        out[k] = x
+        asked = int(np.abs(edges - max(samples[k] - force_delay, start)).argmin())
+        force = seen[asked]
+        sent.append(command_x[k] @ x + command_f[k] @ force)
+        own_next = x[own] + advance @ (own_x[k] @ x + own_f[k] @ force)[own] if own.size else x[own]
+        while at < len(edges) - 1 and edges[at] < samples[k + 1] - 1e-9 * T:
+            age = max(int(np.floor((edges[at] - start - delay) / T + 1e-6)), 0)
+            x[plant] = steps[at] @ np.concatenate([x[plant], sent[min(age, k)]])
+            at += 1
+            seen[at] = sense[min(k + 1, len(sense) - 1)] @ x
+        x[own] = own_next
+    out[-1] = x
+    return out
+
+
+def _plant_steps(e: Equations, base: Simulation, edges: Array) -> Array:
+    """(N, np, np + n): the plant's states an edge later, from its states and the held command; two Gauss nodes a step."""
+    nodes = np.ravel(gauss_nodes(edges))
+    assert base.arrived is not None
+    arriving = {e.actuator: np.stack([base.arrived(float(ti)) for ti in nodes])}
+    system = open_system(e, nodes, base.state(nodes), arriving=arriving)
+    plant, n = np.array(e.plant_states, int), e.n
+    wires = system.nu + np.arange(system.nw)[system.wires[e.actuator]]
+    size = plant.size
+    block = np.zeros((len(nodes), size + n, size + n))
+    block[:, :size, :size] = system.A[:, plant[:, None], plant]
+    block[:, :size, size:] = system.B[:, plant[:, None], wires]
+    return transition_magnus(block.reshape(-1, 2, size + n, size + n), np.diff(edges))[:, :size]
+
+
+def _law_rows(e: Equations, base: Simulation, samples: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """At the samples: command and rates of the state, from the state and (apart from it) from the measured force; and the force from the state."""
+    assert base.arrived is not None
+    x = base.state(samples + 1e-7 * np.min(np.diff(base.t)))  # behind the sample, where the law's own states have jumped
+    system = open_system(e, samples, x, arriving={e.actuator: np.stack([base.arrived(float(ti)) for ti in samples])})
+    keep = np.zeros(system.nw, bool)
+    keep[system.wires[e.actuator]] = True
+    if "force" in system.wires:
+        keep[system.wires["force"]] = True
+    A, B, C, D = close_wires(system, keep)
+    n, first = e.n, system.ny
+    has_force = "force" in system.wires
+    command_f = D[:, first : first + n, system.nu + n :] if has_force else np.zeros((len(samples), n, 6))
+    own_f = B[:, :, system.nu + n :] if has_force else np.zeros((len(samples), e.nx, 6))
+    sense = C[:, first + n :] if has_force else np.zeros((len(samples), 6, e.nx))
+    return C[:, first : first + n], command_f, A, own_f, sense

@@ -1,0 +1,205 @@
+"""One run under way: a segment of the equations in scipy's ``solve_ivp``. The only file that integrates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from mfc_analysis.dynamics.equations import Equations, Inputs
+from mfc_analysis.errors import BadArgument, MfcError
+from mfc_analysis.maths.dual import value
+
+Array = NDArray[np.float64]
+
+Disturbance = Callable[[float], Array]
+
+
+FAR = 1e4  #: [rad, m, rad/s, m/s] beyond this position or velocity a run has diverged
+
+
+FASTEST = 1e15  #: [1/s of any state] beyond this rate a run is refused
+
+
+NO_FORCE = 1e-9  #: [N, Nm] a surface that presses less is not touched
+
+
+CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost: a grazing touch is not stepped over
+
+
+class Outcome(Enum):
+    """How a run ended."""
+
+    FINISHED = "the run reached its end"
+    DIVERGED = "the motion diverged"
+    REFUSED = "the law could not be evaluated any further"
+    SOLVER = "the solver could not go on"
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A surface touched or left."""
+
+    time: float  #: [s]
+    kind: str  #: "touch" or "lift"
+    surface: int  #: index in the list of environments
+    axis: str  #: direction of its compliance frame
+
+
+class DenseOutput:
+    """Dense output put together from segments."""
+
+    def __init__(self, t0: float, x0: Array) -> None:
+        self.starts: list[float] = [t0]
+        self.pieces: list[Callable[[float], Array]] = []
+        self.first = x0
+
+    def add(self, end: float, piece: Callable[[float], Array]) -> None:
+        self.pieces.append(piece)
+        self.starts.append(end)
+
+    def at(self, t: float) -> Array:
+        if t <= self.starts[0] or not self.pieces:
+            return self.first
+        late = t + 1e-12 * max(1.0, abs(t))  # at a sampling instant: what the law holds after it
+        i = min(max(int(np.searchsorted(self.starts, late, side="right")) - 1, 0), len(self.pieces) - 1)
+        return np.asarray(self.pieces[i](min(t, self.starts[i + 1])))
+
+
+@dataclass(eq=False)
+class Run:
+    """One run under way: what the three ways of integrating share."""
+
+    equations: Equations
+    disturbance: Disturbance | None
+    options: dict[str, Any]
+    path: DenseOutput
+    events: list[Event]
+    outcome: Outcome = Outcome.FINISHED
+    message: str = Outcome.FINISHED.value
+    refused: MfcError | None = None
+    arrived: Callable[[float], Array] | None = None  #: with dead time or sampling: the command that has reached the joints
+
+    def inputs(self, t: float) -> Inputs:
+        return Inputs() if self.disturbance is None else Inputs(disturbance=self.disturbance(t))
+
+    @property
+    def one_sided(self) -> bool:
+        return any(s.one_sided for s in self.equations.surfaces)
+
+    def integrate(
+        self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False
+    ) -> Array | None:
+        """From start to end; adds to the path. None where the run has stopped.
+
+        ``short``: one of many short segments, where a multistep method would only ever be starting: explicit Runge-Kutta then.
+        """
+        options = dict(self.options)
+        if short and options["method"] == "LSODA":
+            options.update(method="DOP853" if options["rtol"] < 1e-8 else "RK45", first_step=end - start)
+        if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
+            options["jac"] = jac
+        if self.one_sided:
+            options["max_step"] = CONTACT_STEP
+
+        def solve(f: Callable[[float, Array], Array], options: dict[str, Any]) -> Any:
+            with np.errstate(all="ignore"):
+                return solve_ivp(f, (start, end), x, dense_output=True, events=[self._far()], **options)
+
+        try:
+            found = solve(self._stopping(rates), options)
+        except _Stop:  # maybe only a step too far: again, by a method that shortens a step it cannot evaluate
+            found = solve(self._or_nan(rates), {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
+        self.events += self._contacts(found)
+        self.path.add(float(found.t[-1]), found.sol)
+        if found.status == 1 or not np.isfinite(found.y).all():
+            self.stop(Outcome.DIVERGED, float(found.t[-1]), f"position or velocity beyond {FAR:g}")
+            return None
+        if found.status < 0:
+            outcome = Outcome.SOLVER if self.refused is None else Outcome.REFUSED
+            self.stop(outcome, float(found.t[-1]), str(self.refused or found.message))
+            return None
+        self.refused = None
+        return np.asarray(found.y[:, -1])
+
+    def _stopping(self, rates: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
+        def guarded(t: float, x: Array) -> Array:
+            try:
+                return bounded(rates(t, x))
+            except MfcError as why:
+                self.refused = why
+                raise _Stop from why
+
+        return guarded
+
+    def _or_nan(self, rates: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
+        def guarded(t: float, x: Array) -> Array:
+            try:
+                return bounded(rates(t, x))
+            except MfcError as why:
+                self.refused = why
+                return np.full(x.shape, np.nan)
+
+        return guarded
+
+    def refuse(self, t: float, why: MfcError) -> None:
+        """End the run where the law itself, between two segments, cannot be evaluated."""
+        self.stop(Outcome.REFUSED, t, str(why))
+
+    def stop(self, outcome: Outcome, t: float, why: str) -> None:
+        self.outcome, self.message = outcome, f"{outcome.value} at t = {t:.4g} s: {why}"
+
+    def _far(self) -> Any:
+        watch = np.concatenate(
+            [np.arange(where.start, where.stop) for name, (where, _) in self.equations.parts.items() if name in ("q", "v", "theta", "omega")]
+        )
+
+        def far(t: float, x: Array) -> float:
+            return FAR - float(np.abs(x[watch]).max())
+
+        far.terminal = True  # type: ignore[attr-defined]
+        return far
+
+    def _contacts(self, found: Any) -> list[Event]:
+        """Touch and lift between the solver's steps, located on its dense output.
+
+        Not by solve_ivp's own events: those take the signs from the steps and search on the dense output, which differs by rounding.
+        """
+        e = self.equations
+        if not self.one_sided or found.t.size < 2:
+            return []
+
+        def forces(t: Array) -> list[Array]:
+            return [value(f) for f in e.touch(e.split(np.ascontiguousarray(np.atleast_2d(found.sol(t).T)))).forces]
+
+        at_steps = forces(found.t)
+        out = []
+        for i, surface in enumerate(e.surfaces):
+            for axis, index in zip(surface.axis_names, surface.index, strict=True) if surface.one_sided else ():
+                presses = at_steps[i][:, index] > NO_FORCE
+                for k in np.flatnonzero(presses[:-1] != presses[1:]):
+                    low, high = float(found.t[k]), float(found.t[k + 1])
+                    while high - low > 1e-12 * max(1.0, high):
+                        middle = 0.5 * (low + high)
+                        if (forces(np.array([middle]))[i][0, index] > NO_FORCE) == presses[k]:
+                            low = middle
+                        else:
+                            high = middle
+                    out.append(Event(high, "touch" if presses[k + 1] else "lift", i, axis))
+        return out
+
+
+def bounded(rates: Array) -> Array:
+    """Rates as they are; of larger ones a solver would never make an end. Raises BadArgument."""
+    if not np.abs(rates).max() < FASTEST:
+        raise BadArgument("the motion", f"rates of {np.abs(rates).max():.3g}", f"rates of the states below {FASTEST:g}")
+    return rates
+
+
+class _Stop(Exception):
+    """The law refused; unwinds the solver."""

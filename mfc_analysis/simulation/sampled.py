@@ -1,0 +1,97 @@
+"""Runs with a sample time: the torque held between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.dynamics.equations import Equations, Inputs, Wires
+from mfc_analysis.errors import MfcError
+from mfc_analysis.maths.dual import Dual, Vector, value
+from mfc_analysis.maths.expm import expm_integral
+from mfc_analysis.simulation.run import Run
+
+Array = NDArray[np.float64]
+
+
+def run_sampled(run: Run, asked: Array, x0: Array) -> None:
+    """Sample by sample: the law reads at t_k, its torque is held (after the dead time), its own states advance with inputs held."""
+    e, lose = run.equations, run.one_sided
+    T = float(e.hardware.sample_time)  # type: ignore[arg-type]
+    delay, force_delay = (float(d or 0.0) for d in (e.hardware.delay, e.hardware.force_delay))
+    start, end = float(asked[0]), float(asked[-1])
+    plant = np.array(e.plant_states, int)
+    own = np.setdiff1d(np.arange(e.nx), plant)
+    advance = own_states_step(e, start, x0, T)
+    x = x0.copy()
+    sent: list[Array] = []  # commands of the samples so far
+    whole, rest = int(np.floor(delay / T + 1e-9)), 0.0
+    rest = delay - whole * T if delay - whole * T > 1e-9 * T else 0.0
+    run.arrived = lambda t: sent[min(max(int(np.floor((t - start - delay) / T + 1e-9)), 0), len(sent) - 1)]
+    count = int(np.ceil((end - start) / T - 1e-9))
+    for k in range(count):
+        t = start + k * T
+        s = e.split(x)
+        read = e.split(run.path.at(max(t - force_delay, start))) if force_delay else s
+        F = value(e.touch(read, lose_contact=lose).wrench)
+        e.plant.times = e.controller.times = np.asarray(t)  # for messages
+        try:
+            action, rates = e.control(t, s, F, Wires(), Inputs())
+        except MfcError as why:
+            run.refuse(t, why)
+            return
+        sent.append(np.array(value(action.command)))
+        own_next = x[own] + advance @ _own_rates(run, rates, own) if own.size else x[own]
+        before, now = sent[max(k - whole - 1, 0)], sent[max(k - whole, 0)]
+        switches = [(t, t + rest, before), (t + rest, t + T, now)] if rest else [(t, t + T, now)]
+        for begin, stop, held in switches:
+            if begin >= end - 1e-12:
+                break
+            moved = run.integrate(_held_rates(run, held), begin, min(stop, end), x, short=True)
+            if moved is None:
+                return
+            x = moved
+        x[own] = own_next
+    if start + count * T - end < 1e-9 * T:  # the run ends at a sampling instant: the law's own states have moved on
+        run.path.add(end, lambda t: x)
+
+
+def _held_rates(run: Run, held: Array) -> Callable[[float, Array], Array]:
+    e, lose = run.equations, run.one_sided
+
+    def rates(t: float, x: Array) -> Array:
+        s = e.split(x)
+        d = 0.0 if run.disturbance is None else run.disturbance(t)
+        moved = e.move(s, held, e.touch(s, lose_contact=lose).wrench if e.surfaces else np.zeros(6), d)
+        out = np.zeros(e.nx)
+        for name, rate in moved.items():
+            out[e.parts[name].where] = value(rate)
+        return out
+
+    return rates
+
+
+def _own_rates(run: Run, rates: dict[str, Vector], own: Array) -> Array:
+    e = run.equations
+    out = np.zeros(e.nx)
+    for name, rate in rates.items():
+        out[e.parts[name].where] = value(rate)
+    return np.asarray(out[own], float)
+
+
+def own_states_step(e: Equations, t: float, x0: Array, T: float) -> Array:
+    """The matrix that takes the rates of the law's own states to their change over a sample with inputs held: T phi_1(T A_own)."""
+    own = np.setdiff1d(np.arange(e.nx), np.array(e.plant_states, int))
+    k = own.size
+    if k == 0:
+        return np.zeros((0, 0))
+    tangent = np.zeros((e.nx, k))
+    tangent[own, np.arange(k)] = 1.0
+    _, rates = e.control(t, e.split(Dual(x0, tangent)), value(e.touch(e.split(x0)).wrench), Wires(), Inputs())
+    A = np.zeros((e.nx, k))
+    for name, rate in rates.items():
+        if isinstance(rate, Dual):
+            A[e.parts[name].where] = rate.tangent
+    return np.asarray(expm_integral(A[own][None], np.eye(k)[None], T)[1][0])

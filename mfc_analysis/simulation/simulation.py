@@ -1,0 +1,195 @@
+"""Nonlinear simulation: the equations of the loop in scipy's ``solve_ivp``. The only one who integrates.
+
+Without dead time and sampling: one run, LSODA with the exact Jacobian. With dead time: method of steps, segments no longer than
+the shortest dead time. With a sample time: sample by sample, the torque held, the law's own states advanced as the discrete
+model advances them. One-sided surfaces push and never pull; touch and lift are events.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mfc_analysis.dynamics.equations import Equations, Flow, Inputs
+from mfc_analysis.dynamics.jacobians import closed_matrix
+from mfc_analysis.dynamics.operating_point import OperatingPoint
+from mfc_analysis.errors import BadArgument, MfcError, one_warning
+from mfc_analysis.maths import checks
+from mfc_analysis.maths.dual import value
+from mfc_analysis.simulation.delayed import run_with_dead_time
+from mfc_analysis.simulation.run import FAR, DenseOutput, Disturbance, Event, Outcome, Run, bounded
+from mfc_analysis.simulation.sampled import run_sampled
+
+Array = NDArray[np.float64]
+
+METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
+SHORTEST = 1e-9  #: [s] a run below this is taken for a slip
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A nonlinear run: k times."""
+
+    t: Array  #: (k,) [s]
+    x: Array  #: (k, nx) states in the order of ``state_names``
+    q: Array  #: (k, n) [rad, m]
+    v: Array  #: (k, n)
+    tau: Array  #: (k, n) what drives the joints, after dead time, limit and lag [Nm] (velocity laws: the velocity [rad/s])
+    command: Array  #: (k, n) what the law commands
+    error: Array  #: (k, n) e = q_d - q, or (k, 6) X_e for tool laws
+    twist: Array  #: (k, 6) body twist of the tool [m/s, rad/s]
+    force: Array  #: (k, 6) F_tip, tool frame [N, Nm]
+    events: tuple[Event, ...]
+    outcome: Outcome
+    message: str  #: what happened and when, a sentence
+    state_names: tuple[str, ...]
+    path: DenseOutput = field(repr=False)
+    arrived: Callable[[float], Array] | None = field(default=None, repr=False)  #: with dead time or sampling: t -> (n,) command at the joints
+
+    @property
+    def diverged(self) -> bool:
+        """True where the run stopped before its end; ``message`` says why and when, the arrays keep what there is."""
+        return self.outcome is not Outcome.FINISHED
+
+    @property
+    def end(self) -> float:
+        """Last time reached [s]."""
+        return float(self.t[-1])
+
+    def state(self, t: ArrayLike) -> Array:
+        """(m, nx) the state at times within the run, from the solver's dense output. Raises BadArgument outside."""
+        times = np.atleast_1d(np.asarray(t, float))
+        if np.any(times < self.t[0] - 1e-12) or np.any(times > self.t[-1] + 1e-12):
+            raise BadArgument("times", t, f"times within the run, {self.t[0]:g} to {self.t[-1]:g} s")
+        return np.stack([self.path.at(float(ti)) for ti in times])
+
+    def operating_point(self, times: Array) -> OperatingPoint:
+        """The run as operating points at times (m,) [s], to linearise along. Raises BadArgument outside the run."""
+        return OperatingPoint(times, self.state(times), np.zeros((len(times), self.q.shape[1])))
+
+    def __str__(self) -> str:
+        return f"simulation from {self.t[0]:g} to {self.t[-1]:g} s, {len(self.t)} points, {len(self.events)} contact events: {self.message}"
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        from mfc_analysis.notebook import table
+
+        rows = []
+        for name, values in (("error", self.error), ("velocity", self.v), ("torque", self.tau), ("force", self.force)):
+            size = np.abs(values).max(axis=1)
+            rows.append((name, f"{size.max():.4g}", f"{self.t[int(np.argmax(size))]:.4g}", f"{size[-1]:.4g}"))
+        return table(str(self), ("signal", "largest", "at [s]", "at the end"), rows)
+
+
+def simulate(
+    equations: Equations,
+    times: float | ArrayLike,
+    x0: Array,
+    disturbance: ArrayLike | Callable[[float], ArrayLike] | None,
+    *,
+    rtol: float,
+    atol: float,
+    method: str,
+) -> Simulation:
+    """The run behind ``ClosedLoop.simulate``, from the state ``x0`` (nx,). Raises BadArgument for bad input, and what the law raises at the start."""
+    asked = _asked_times(times)
+    checks.choice("method", method, METHODS)
+    options = {"rtol": checks.number("rtol", rtol, low=1e-14), "atol": checks.number("atol", atol, low=1e-16), "method": method}
+    e = equations
+    run = Run(e, _disturbance(disturbance, e.n), options, DenseOutput(float(asked[0]), x0), [])
+    moving = np.concatenate([x0[where] for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
+    if np.abs(moving).max() > FAR:
+        raise BadArgument("the start", float(np.abs(moving).max()), f"positions and velocities up to {FAR:g}")
+    start = e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # an impossible start is an error, not an outcome
+    bounded(value(e.join(start.rates)))
+    with one_warning():
+        if len(asked) > 1:
+            _run(run, asked, x0)
+        return _gathered(run, asked)
+
+
+def _run(run: Run, asked: Array, x0: Array) -> None:
+    hardware = run.equations.hardware
+    if hardware.sample_time is not None:
+        run_sampled(run, asked, x0)
+    elif hardware.delay is not None or hardware.force_delay is not None:
+        run_with_dead_time(run, asked, x0)
+    else:
+        _run_continuous(run, asked, x0)
+
+
+def _run_continuous(run: Run, asked: Array, x0: Array) -> None:
+    e, lose = run.equations, run.one_sided
+
+    def rates(t: float, x: Array) -> Array:
+        return value(e.join(e.flow(t, x, None, run.inputs(t), lose_contact=lose).rates))
+
+    known = [np.zeros((e.nx, e.nx))]
+
+    def jac(t: float, x: Array) -> Array:
+        with suppress(MfcError):  # a trial step too far: the rates will say so; for the solver the last one will do
+            known[0] = closed_matrix(e, np.array([t]), x[None], lose_contact=lose)[0]
+        return known[0]
+
+    run.integrate(rates, float(asked[0]), float(asked[-1]), x0, jac)
+
+
+def _gathered(run: Run, asked: Array) -> Simulation:
+    e = run.equations
+    end = run.path.starts[-1]
+    t = asked[asked <= end + 1e-12]
+    if run.outcome is not Outcome.FINISHED and end > t[-1]:
+        t = np.append(t, end)
+    x = np.stack([run.path.at(float(ti)) for ti in t])
+    kept = np.isfinite(x).all(axis=1)
+    t, x, flow = _signals(run, t[kept], x[kept])
+    s = e.split(x)
+    command = np.array(np.broadcast_to(value(flow.command), (len(t), e.n)))
+    q = np.array(s["q"])
+    v = np.array(s["v"]) if "v" in s else np.array(np.broadcast_to(value(flow.rates["q"]), q.shape))
+    arrived = command if run.arrived is None else np.stack([run.arrived(float(ti)) for ti in t])
+    tau = np.array(s["lag"]) if "lag" in s else np.array(value(e.limited(arrived)))
+    twist = value(e.plant.jacobian(np.ascontiguousarray(q), v))
+    events = tuple(sorted(run.events, key=lambda event: event.time))
+    return Simulation(
+        t, x, q, v, tau, command, np.array(value(flow.error)), twist, np.array(value(flow.F_tip)), events,
+        run.outcome, run.message, e.state_names, run.path, run.arrived,
+    )  # fmt: skip
+
+
+def _signals(run: Run, t: Array, x: Array) -> tuple[Array, Array, Flow]:
+    """The signals along the run, without the last points where the law could not be evaluated any more."""
+    while True:
+        try:
+            disturbance = None if run.disturbance is None else np.stack([run.disturbance(float(ti)) for ti in t])
+            return t, x, run.equations.flow(t, x, None, Inputs(disturbance=disturbance), lose_contact=run.one_sided)
+        except MfcError:
+            if run.outcome is not Outcome.REFUSED or len(t) == 1:
+                raise
+            t, x = t[:-1], x[:-1]
+
+
+def _asked_times(times: float | ArrayLike) -> Array:
+    given = checks.at_least_1d("times", times)
+    if np.ndim(times) == 0:
+        return np.linspace(0.0, checks.number("times", times, low=SHORTEST), 501)
+    asked = checks.times(given)
+    if asked.size > 1 and asked[-1] - asked[0] < SHORTEST:
+        raise BadArgument("times", times, f"times that span {SHORTEST:g} s or more, or a single one")
+    return asked
+
+
+def _disturbance(given: ArrayLike | Callable[[float], ArrayLike] | None, n: int) -> Disturbance | None:
+    if given is None:
+        return None
+    if callable(given):
+        function = given
+        checks.per_joint("disturbance", function(0.0), n)
+        return lambda t: checks.per_joint("disturbance", function(t), n)
+    constant = checks.per_joint("disturbance", given, n)
+    return lambda t: constant

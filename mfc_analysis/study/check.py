@@ -1,0 +1,119 @@
+"""The requirements of a study, checked on its loops and over its ranges: the worst line of each, with what, where and when."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from mfc_analysis.study.limits import limits
+
+if TYPE_CHECKING:
+    from mfc_analysis.design.searches import Limit
+    from mfc_analysis.requirements.requirements import Line, Verdict
+    from mfc_analysis.study.read import Study, StudyLoop
+
+COLUMNS = ("result", "requirement", "asked", "found", "where", "when", "case")
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class LoopCheck:
+    """What came of one loop of a study: the worst line of each requirement over its cases."""
+
+    loop: StudyLoop
+    lines: tuple[tuple[Line, str], ...]  #: line and case ("" where the study has no ranges), failures first
+    verdicts: tuple[tuple[str, Verdict], ...]  #: case and verdict, in the order of the ranges
+    notes: tuple[str, ...]
+    limits: tuple[Limit, ...] = ()  #: of the design wishes
+
+    @property
+    def cases(self) -> int:
+        """How many cases were judged."""
+        return len(self.verdicts)
+
+    @property
+    def status(self) -> str:
+        """PASS, WATCH or FAIL: the worst of the lines."""
+        return max((line.status for line, _ in self.lines), key=lambda s: s.rank).value
+
+    @property
+    def heading(self) -> str:
+        """The loop in words."""
+        over = f", {self.cases} cases" if self.cases > 1 else ""
+        t = self.loop.times
+        when = f"t = {t[0]:g} s" if len(t) == 1 else f"{len(t)} times from {t[0]:g} to {t[-1]:g} s"
+        return f"{self.loop.name}: {self.loop.loop}; {when}{over}"
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Cells of the table, in the order of COLUMNS."""
+        out: list[tuple[str, ...]] = []
+        for line, case in self.lines:
+            status, label, _, asked, *_ = line.cells()
+            found = "undefined" if math.isnan(line.found) else f"{line.found:.4g} {line.unit}".rstrip()
+            out.append((status, label, asked, found, line.where, "" if line.when is None else f"{line.when:.4g} s", case))
+        return out
+
+    def sentences(self) -> list[str]:
+        """The verdict in words: what, where and when of all that is not met, and what else to know."""
+        out = []
+        for line, case in self.lines:
+            if line.status != "PASS":
+                status, label, found, asked, _, place, note = line.cells()
+                where = "; ".join(part for part in (place, case, note) if part)
+                out.append(f"{status}: {self.loop.name}: {label}: found {found}, asked {asked}{f' ({where})' if where else ''}")
+        out += [f"note: {note}" for note in self.notes]
+        out += [f"limit: {limit}" for limit in self.limits]
+        return [*out, f"{self.status}: {self.loop.name}"]
+
+
+def check(study: Study, progress: Progress = lambda what, done, of: None, *, search: bool = False) -> tuple[LoopCheck, ...]:
+    """Every loop of the study against its requirements, over its ranges; ``search``: its design wishes too.
+
+    Raises MfcError where a loop cannot be judged.
+    """
+    found = tuple(_check(loop, progress) for loop in study.loops)
+    return tuple(replace(one, limits=limits(one.loop, progress)) for one in found) if search else found
+
+
+def _check(one: StudyLoop, progress: Progress) -> LoopCheck:
+    cases = list(one.cases())
+    progress(one.name, 0, len(cases) or 1)
+    requirements = one.requirements
+    found: list[tuple[str, Verdict]] = []
+    for i, case in enumerate(cases):
+        found.append((str(case), requirements.check(case.loop, one.times, one.at)))
+        progress(one.name, i + 1, len(cases))
+    if not cases:
+        found.append(("", requirements.check(one.loop, one.times, one.at)))
+    worst: dict[str, tuple[Line, str]] = {}
+    for case_said, verdict in found:
+        for line in verdict.lines:
+            if line.name not in worst or line.severity > worst[line.name][0].severity:
+                worst[line.name] = (line, case_said)
+    lines = sorted(worst.values(), key=lambda pair: pair[0].severity, reverse=True)
+    notes = tuple(dict.fromkeys(note for _, verdict in found for note in verdict.notes))
+    return LoopCheck(one, tuple(lines), tuple(found), notes)
+
+
+def as_json(checks: Sequence[LoopCheck]) -> str:
+    """The lines as JSON; what is infinite or undefined is a word."""
+    out = []
+    for one in checks:
+        lines = [
+            {
+                "requirement": line.name, "status": line.status.value, "asked": _number(line.asked), "found": _number(line.found), "unit": line.unit,
+                "where": line.where, "when": line.when, "case": case, "note": line.note,
+            }
+            for line, case in one.lines
+        ]  # fmt: skip
+        limits = {limit.name: {"value": _number(float(limit)), "unit": limit.unit, "binds": limit.binds} for limit in one.limits}
+        out.append({"loop": one.loop.name, "status": one.status, "cases": one.cases, "lines": lines, "notes": list(one.notes), "limits": limits})
+    return json.dumps(out, indent=2, ensure_ascii=False)
+
+
+def _number(value: float) -> float | str:
+    return value if math.isfinite(value) else "undefined" if math.isnan(value) else "infinite" if value > 0 else "minus infinite"

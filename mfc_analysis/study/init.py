@@ -1,0 +1,222 @@
+"""``mfc-analysis init``: a commented study for a robot, which runs as it is."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.robots.catalogue import robot_named
+
+if TYPE_CHECKING:
+    from mfc_analysis.robots.robot import Robot
+
+Array = NDArray[np.float64]
+
+STRIDE = 0.5  #: [rad, m] the longest way a joint of the first path goes
+
+BANDWIDTH = 10.0  #: [Hz] of the first gains
+
+MODEL = """\
+# What the controller believes, where it is not the plant itself:
+# [controller_model]
+# friction = "none"                        # it compensates none of the joints' viscous friction
+# payload = false
+# inertia_scale = 1.1"""
+
+MODEL_WITHOUT_FRICTION = """\
+# What the controller believes, where it is not the plant itself. The viscous friction of this arm outweighs the damping of the gains below:
+# compensated to the full, a few percent too much would make the loop unstable, so the controller leaves it alone.
+[controller_model]
+friction = "none"
+# payload = false
+# inertia_scale = 1.1"""
+
+TEMPLATE = """\
+# A study: a robot, a control law, a path, hardware, and what is asked of the loop.
+#
+#   mfc-analysis check {file}             requirements only: exit code 0 met, 1 not met, 2 bad input
+#   mfc-analysis report {file} --out out  HTML, PDF and JSON
+#
+# SI units and radians throughout; a key that ends in _deg or _hz says so. Files are read relative to this one.
+
+title = {title}
+
+# Where the arm stands at the start: {joints} [{units}].
+q_start = {q_start}
+
+[robot]
+{source}
+tool = {tool}  # the frame that tool references and payloads mean
+{locked}
+# gravity = [0, 0, -9.81]                  # in base axes
+# friction = "none"                        # drop the URDF's joint damping; or {{viscous = 0.5, coulomb = 1.0}}
+# payload = {{mass = 2.0, com = [0, 0, 0.05], inertia = 0.01}}
+
+{model}
+
+[law]
+# mfc-analysis laws lists them; 9.10 is computed torque: tau = M (a_d + kp e + ki z + kd e') + h
+equation = "9.10"
+gains = {{helper = "pid", bandwidth_hz = {bandwidth:g}, damping = 1.0}}  # or kp = ..., ki = ..., kd = ... themselves
+# form = "printed"                         # the equation as the page has it
+
+[reference]
+# Hold, Quintic, Sinusoid, Waypoints, csv (file = "path.csv"); ToolHold, ToolLine, ToolSinusoid, ToolCircle for tool laws
+kind = "Quintic"
+q1 = {q1}
+duration = {duration}
+
+[hardware]                                 # none of it is on until it says so
+# torque_lag = 0.002                       # [s]
+# delay = 0.001                            # [s] of each commanded torque
+# sample_time = 0.001                      # [s]; the loop becomes discrete
+# velocity_filter = 0.001                  # [s]
+
+# [environment]                            # for force laws
+# stiffness = 1e4                          # [N/m]
+# damping = 10.0
+# axes = "z"                               # into the surface
+# preload = 5.0                            # [N] at the start
+
+# at = "torque"                            # where the margins are taken, before any table; default: the plant input
+[times]
+stop = {duration}
+count = 51
+
+[requirements]
+phase_deg = 45.0
+gain_increase_db = 6.0
+gain_reduction_db = 6.0
+delay = 0.002                              # [s] of more dead time
+sensitivity_peak = 2.0
+# disk_margin = 0.4
+# damping_ratio = 0.5
+# tracking_error = 1e-3                    # [rad, m] in a nonlinear run
+# torque_fraction = 0.9                    # of the torque limits
+
+# [ranges]                                 # every combination is checked, with the controller's model as it is
+# payload = [0.0, 1.0, 2.0]
+# torque_lag = {{low = 0.001, high = 0.004, count = 4}}
+"""
+
+
+def study_for(robot: Robot, source: str, file: str, locked: Sequence[str] = ()) -> str:
+    """The text of a study for a robot. ``source``: the line of its ``[robot]`` table that says where it comes from; ``locked``: welded joints."""
+    q0, q1, duration = first_path(robot)
+    turns = np.abs(robot.jacobian(q0)[3:]).max(axis=0) > 1e-9
+    return TEMPLATE.format(
+        file=_comment(file),
+        title=json.dumps(f"{robot.name}: computed torque along a first path", ensure_ascii=True),
+        joints=_comment(", ".join(robot.joint_names)),
+        units="rad" if turns.all() else "m" if not turns.any() else "rad, m",
+        q_start=_list(q0),
+        source=source,
+        locked=_locked(locked),
+        model=MODEL_WITHOUT_FRICTION if friction_rules(robot, q0, q1) else MODEL,
+        bandwidth=BANDWIDTH,
+        tool=json.dumps(robot.tool, ensure_ascii=True),
+        q1=_list(q1),
+        duration=f"{duration:g}",
+    )
+
+
+def friction_rules(robot: Robot, *poses: Array) -> bool:
+    """Whether the viscous friction of a joint outweighs the damping of the gains: a controller that compensates it has no margin left."""
+    from mfc_analysis import gains, hertz
+
+    kd = float(gains.pid(bandwidth=hertz(BANDWIDTH))["kd"])
+    return any(bool(np.any(robot.viscous > kd * np.diag(robot.mass(q)))) for q in poses)
+
+
+def first_path(robot: Robot) -> tuple[Array, Array, float]:
+    """Start, end and duration [s] of a path inside the joint limits, at half their speed at most."""
+    limits = robot.limits
+    lower, upper = np.array(limits.lower), np.array(limits.upper)
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    middle = np.where(bounded, 0.5 * (lower + upper), np.clip(0.0, lower, upper))
+    room = np.where(bounded, 0.5 * (upper - lower), np.inf)
+    half = np.minimum(0.5 * STRIDE, 0.4 * room)
+    q0, q1 = np.round(middle - half, 4), np.round(middle + half, 4)
+    one_sided = np.isfinite(lower) ^ np.isfinite(upper)
+    q0 = np.where(one_sided & np.isfinite(lower), np.round(middle + 0.05, 4), q0)
+    q1 = np.where(one_sided & np.isfinite(upper), np.round(middle - 0.05, 4), q1)
+    speed = np.array(limits.velocity)
+    slowest = float(np.max(1.875 * np.abs(q1 - q0) / (0.5 * np.where(np.isfinite(speed), speed, np.inf))))
+    return q0, q1, max(2.0, math.ceil(10 * slowest) / 10)
+
+
+def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None = None, *, overwrite: bool = False) -> Path:
+    """Writes the study of a URDF file or a robot's name; returns its path.
+
+    Raises BadArgument: the file is there already and ``overwrite`` is False; BadRobot, UnknownName for the robot.
+    """
+    is_file = bool(Path(name).suffix) or Path(name).exists()
+    locked = unmoving(name, tool) if is_file else ()
+    robot = _arm(name, tool, locked) if is_file else robot_named(name, tool)
+    stem = Path(name).stem if is_file else name
+    target = Path(out) if out is not None else Path(f"{stem}.toml")
+    if target.exists() and not overwrite:
+        raise BadArgument("--out", str(target), "a file that isn't there yet; --force overwrites")
+    if is_file:
+        try:
+            relative = os.path.relpath(Path(name).resolve(), target.resolve().parent)
+        except ValueError:  # another drive
+            relative = str(Path(name).resolve())
+        source = f"urdf = {json.dumps(Path(relative).as_posix(), ensure_ascii=True)}"
+    else:
+        source = f"name = {json.dumps(name)}"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(study_for(robot, source, target.name, locked), encoding="utf-8")
+    return target
+
+
+def unmoving(urdf: str | os.PathLike[str], tool: str | None) -> tuple[str, ...]:
+    """The joints of a URDF that do not move the tool, such as fingers; with no tool named, those that mimic another."""
+    from mfc_analysis.robots.urdf import checked_urdf, read_urdf
+
+    text, mimic = checked_urdf(read_urdf(Path(urdf)))
+    joints = {str(j.get("name")): j for j in ElementTree.fromstring(text).findall("joint")}
+    if tool is None:
+        return mimic
+    above = {str(j.find("child").get("link")): name for name, j in joints.items()}  # type: ignore[union-attr]
+    link = str(joints[tool].find("child").get("link")) if tool in joints and tool not in above else tool  # type: ignore[union-attr]
+    chain = set()
+    while link in above:
+        chain.add(above[link])
+        link = str(joints[above[link]].find("parent").get("link"))  # type: ignore[union-attr]
+    return tuple(name for name, j in joints.items() if j.get("type") != "fixed" and name not in chain) if chain else mimic
+
+
+def _arm(urdf: str, tool: str | None, locked: Sequence[str]) -> Robot:
+    from mfc_analysis.robots import Robot
+
+    try:
+        return Robot.from_urdf(Path(urdf), tool=tool, locked=list(locked))
+    except BadArgument as why:
+        if why.argument == "tool" and tool is None:
+            raise BadArgument("--tool", None, f"{why.takes}; the joints that do not move it are locked") from why
+        raise
+
+
+def _locked(names: Sequence[str]) -> str:
+    if names:
+        return f"locked = {json.dumps(list(names))}  # welded at 0; or {{ name = 0.04 }}"
+    return '# locked = ["finger_joint1"]               # joints to weld, at 0; or { finger_joint1 = 0.04 }'
+
+
+def _list(values: Array) -> str:
+    return "[" + ", ".join(f"{v + 0.0:g}" for v in values) + "]"
+
+
+def _comment(text: str) -> str:
+    """Text on one line of a comment."""
+    return "".join(c if c.isprintable() else "?" for c in text)

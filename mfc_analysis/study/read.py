@@ -1,0 +1,188 @@
+"""Studies: a TOML file that says robot, law, path, hardware and what is asked, turned into loops.
+
+``read(path)`` checks the file against ``schema`` and builds its loops. Files it names are read relative to it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from mfc_analysis.study.errors import StudyError
+from mfc_analysis.study.messages import explained, has
+from mfc_analysis.study.schema import DECIDING, LoopTable, SpanTable, StudyTable
+from mfc_analysis.study.tables import REFERENCES, PoseTable, Table, tables_of
+
+if TYPE_CHECKING:
+    from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.requirements.requirements import Requirements
+    from mfc_analysis.study.parts import Parts
+
+Array = NDArray[np.float64]
+
+MOST_CASES = 1000  #: combinations of ranges that a study may ask for
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A loop with some quantities of its plant changed, as the ranges of a study ask for."""
+
+    values: Mapping[str, float]  #: quantity -> value [SI]
+    loop: ClosedLoop
+
+    def __str__(self) -> str:
+        return ", ".join(f"{name} = {value:g}" for name, value in self.values.items())
+
+
+@dataclass(frozen=True, eq=False)
+class StudyLoop:
+    """A loop of a study, and what is asked of it."""
+
+    name: str
+    loop: ClosedLoop
+    times: Array  #: (m,) [s]
+    at: str | None  #: analysis point; None: the plant input
+    table: LoopTable  #: what the file says
+    parts: Parts = field(repr=False)
+
+    @property
+    def requirements(self) -> Requirements:
+        """What is asked."""
+        from mfc_analysis.requirements.requirements import Requirements
+
+        return Requirements(**self.table.requirements.given())
+
+    @property
+    def asks(self) -> bool:
+        """Whether the file requires anything."""
+        return bool(self.table.requirements.model_fields_set)
+
+    def cases(self) -> Iterator[Case]:
+        """Every combination of the ranges, the controller's model as it is. Nothing where the study has no ranges."""
+        spans = {name: span.points() for name, span in self.table.ranges.given().items()}
+        if not spans:
+            return
+        for combination in itertools.product(*spans.values()):
+            values = dict(zip(spans, combination, strict=True))
+            yield Case(values, self.parts.varied(values))
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A study file and its loops."""
+
+    title: str
+    name: str  #: of the report's files
+    text: str  #: a paragraph for the report, maybe empty
+    file: Path
+    sha256: str  #: of the file's bytes
+    loops: tuple[StudyLoop, ...]
+    table: StudyTable
+
+    def files(self) -> tuple[Path, ...]:
+        """The study and the files that it names."""
+        return tuple(dict.fromkeys([self.file, *(path for one in self.loops for path in one.parts.files())]))
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Formats of the report."""
+        return tuple(self.table.report.formats)
+
+
+def read(path: str | os.PathLike[str]) -> Study:
+    """The study in a TOML file, its loops built.
+
+    Raises StudyError (a ``ValueError``): not a file, not TOML, a key that isn't there (names the nearest), a value of another kind,
+    files, joints or gains that do not go together.
+    """
+    file = Path(path)
+    try:
+        content = file.read_bytes()
+        raw = tomllib.loads(content.decode("utf-8-sig"))
+    except OSError as why:
+        raise StudyError(str(path), "", f"cannot be read ({why.strerror or type(why).__name__})") from why
+    except UnicodeDecodeError as why:
+        raise StudyError(str(path), "", "is not a text in UTF-8") from why
+    except tomllib.TOMLDecodeError as why:
+        raise StudyError(str(path), "", f"is not TOML: {why}") from why
+    tables = raw.pop("loop", [])
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+        raise StudyError(str(path), "loop", "takes [[loop]] tables")
+    merged = [overridden(raw, t) for t in tables] or [raw]
+    checked = [_checked(str(path), one, tables[i] if tables else None, i) for i, one in enumerate(merged)]
+    from mfc_analysis.study.parts import Parts
+
+    loops: list[StudyLoop] = []
+    for i, table in enumerate(checked):
+        _check_cases(str(path), table)
+        parts = Parts(table, file.parent, str(path), f"loop[{i}]" if tables else "")
+        loop = parts.loop()
+        name = table.name or f"{type(loop.law).__name__} on {loop.robot.name}"
+        if any(name == other.name for other in loops):
+            name = f"{name} ({i + 1})"
+        loops.append(StudyLoop(name, loop, parts.times(), parts.at(), table, parts))
+    first = checked[0]
+    title = first.title or file.stem
+    return Study(title, first.report.name or file.stem, first.text or "", file, hashlib.sha256(content).hexdigest(), tuple(loops), first)
+
+
+def overridden(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The base with some keys changed, table by table; a table that says anew what it is (DECIDING) is replaced."""
+    out = dict(base)
+    for key, value in changes.items():
+        old = out.get(key)
+        anew = isinstance(value, dict) and any(word in value for word in DECIDING.get(key, ()))
+        out[key] = overridden(old, value) if isinstance(old, dict) and isinstance(value, dict) and not anew else value
+    return out
+
+
+def _check_cases(file: str, table: LoopTable) -> None:
+    count = 1
+    for span in table.ranges.given().values():
+        count *= len(span.points())
+    if count > MOST_CASES:
+        raise StudyError(file, "ranges", f"{count} combinations; takes up to {MOST_CASES}")
+
+
+# --- what pydantic found, in words ---------------------------------------------------------------------------------------
+
+
+def _checked(file: str, raw: dict[str, Any], changes: dict[str, Any] | None, index: int) -> StudyTable:
+    try:
+        return StudyTable.model_validate(raw)
+    except ValidationError as why:
+        first = min(why.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")  # a misspelt key explains a missing one
+        key, problem, allowed = explained(first, raw)
+        if changes is not None and (has(changes, key) or not has(raw, key)):
+            key = f"loop[{index}].{key}" if key else f"loop[{index}]"
+        raise StudyError(file, key, problem, allowed) from None
+
+
+def keys() -> dict[str, tuple[str, ...]]:
+    """Every table that a study may have, with the keys it takes; the kinds of ``reference`` one by one, poses and ranges once."""
+    shared: dict[type[Table], str] = {PoseTable: "(a pose)", SpanTable: "(a range)"}
+    out: dict[str, tuple[str, ...]] = {}
+
+    def add(name: str, table: type[Table]) -> None:
+        inner = {key: tables_of(f.annotation) for key, f in table.model_fields.items()}
+        out[name] = tuple(inner)
+        for key, found in inner.items():
+            for one in found:
+                kind = next((f'{key}, kind = "{word}"' for word, table in REFERENCES.items() if table is one), key)
+                if one not in shared:
+                    add(kind if name == "study" else f"{name}.{kind}", one)
+
+    add("study", StudyTable)
+    for table, name in shared.items():
+        add(name, table)
+    return out

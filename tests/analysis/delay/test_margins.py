@@ -1,0 +1,100 @@
+"""Margins of loops with dead time: closed forms of one loop, and loops that really go unstable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mfc_analysis.analysis.frequency.response import frequency_response
+from mfc_analysis.analysis.margins import margins
+from mfc_analysis.analysis.stability import stability
+from tests.analysis.conftest import open_system, random_loops, scaled
+
+s = control.tf("s")
+
+
+@pytest.mark.parametrize("k", [1e-2, 1.0, 300.0])
+@pytest.mark.parametrize("kT", [0.01, 0.2, 1.0, 1.5])
+def test_an_integrator_with_dead_time_has_its_closed_forms(k, kT):
+    found = margins(open_system(k / s, delay=kT / k), "torque")
+    assert found.stable[0]
+    assert_allclose(found.gain_increase[0, 0], np.pi / (2 * kT), rtol=1e-10)
+    assert_allclose(found.phase_deg[0, 0], 90 - np.degrees(kT), rtol=1e-10)
+    assert_allclose(found.delay[0, 0], (np.pi / 2 - kT) / k, rtol=1e-10)
+    assert_allclose(found.crossover[0, 0], k, rtol=1e-12)
+    assert found.gain_reduction[0, 0] == 0
+    w = k * np.geomspace(1e-3, 1e3, 400_001)
+    top = np.abs(1 / (1 + k / (1j * w) * np.exp(-1j * w * kT / k))).max()
+    assert_allclose(found.sensitivity_peak[0, 0], max(1, top), rtol=1e-6)
+
+
+def test_beyond_its_dead_time_a_loop_has_no_margins():
+    found = margins(open_system(3 / s, delay=0.53), "torque")
+    assert not found.stable[0] and np.isnan(found.phase_deg[0, 0]) and np.isnan(found.sensitivity_peak[0, 0])
+
+
+def test_dead_time_taken_off_the_delay_margin_leaves_the_rest():
+    L = 25 / (s**3 + 10 * s**2 + 10 * s + 10)
+    whole = margins(open_system(L), "torque")
+    for part in (1e-4, 0.3, 0.9):
+        late = margins(open_system(L, delay=part * whole.delay[0, 0]), "torque")
+        assert_allclose(late.delay, whole.delay * (1 - part), rtol=1e-9)
+        assert_allclose(late.crossover, whole.crossover, rtol=1e-10)
+
+
+def test_the_margins_of_a_vanishing_dead_time_are_those_without(rng):
+    system = random_loops(rng, 12, 5, 2)
+    plain, late = margins(system, "torque"), margins(replace(system, wire_delay=np.full(2, 1e-9)), "torque")
+    for name in ("gain_reduction", "phase_deg", "delay", "sensitivity_peak", "crossover"):
+        assert_allclose(getattr(late, name), getattr(plain, name), rtol=1e-5)
+    finite = plain.gain_increase < 1e3
+    assert_allclose(late.gain_increase[finite], plain.gain_increase[finite], rtol=1e-5)
+
+
+def test_every_figure_is_the_largest_perturbation_the_loop_survives(rng):
+    system = replace(random_loops(rng, 14, 4, 2), wire_delay=np.array([0.11, 0.04]))
+    found = margins(system, "torque")
+    assert found.stable.sum() > 2
+    for i in np.flatnonzero(found.stable):
+        one = system.at(np.array([i]))
+        for k in range(2):
+            up, down, tau = found.gain_increase[i, k], found.gain_reduction[i, k], found.delay[i, k]
+            if up < 1e3:
+                assert stable(scaled(one, up * (1 - 1e-5), k)) and not stable(scaled(one, up * (1 + 1e-5), k))
+            if down > 0:
+                assert stable(scaled(one, down * (1 + 1e-5), k)) and not stable(scaled(one, down * (1 - 1e-5), k))
+            if np.isfinite(tau):
+                assert stable(later(one, k, tau * (1 - 1e-5))) and not stable(later(one, k, tau * (1 + 1e-5)))
+
+
+def test_at_its_crossover_the_exact_response_has_size_one_and_the_phase_margin(rng):
+    system = replace(random_loops(rng, 14, 4, 2), wire_delay=np.array([0.11, 0.04]))
+    found = margins(system, "torque")
+    for i, k in zip(*np.nonzero(np.isfinite(found.phase_deg)), strict=True):
+        L = frequency_response(system.at(np.array([i])), found.crossover[i, k], "torque")[0, k, 0]
+        assert_allclose([abs(L), abs(np.degrees(np.angle(-L)))], [1, found.phase_deg[i, k]], rtol=1e-9)
+
+
+def test_a_high_resonance_binds_though_the_crossover_is_low():
+    L = control.tf(2 / s) * (1 + 0.25 * s * 50 / (s**2 + 4 * s + 2500)) / (1 + s / 400)
+    T = 0.004
+    found = margins(open_system(L, delay=T), "torque")
+    w = np.linspace(0.05, 600, 1_000_001)
+    z = L(1j * w) * np.exp(-1j * w * T)
+    real = np.flatnonzero((np.diff(np.sign(z.imag)) != 0) & (z.real[:-1] < 0))
+    assert_allclose(found.gain_increase[0, 0], 1 / np.abs(z[real]).max(), rtol=1e-4)
+    assert_allclose(found.sensitivity_peak[0, 0], np.abs(1 / (1 + z)).max(), rtol=1e-6)
+
+
+def stable(system) -> bool:
+    return bool(stability(system).nonzero_stable[0])
+
+
+def later(system, wire: int, tau: float):
+    delay = system.wire_delay.copy()
+    delay[wire] += tau
+    return replace(system, wire_delay=delay)

@@ -1,0 +1,362 @@
+"""The command line: exit codes, what is said where, and that nothing is written outside of --out."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from mfc_analysis import __version__
+from mfc_analysis.cli.app import app
+from mfc_analysis.cli.terminal import plain
+from mfc_analysis.laws import LAWS
+from mfc_analysis.study.shipped import folder
+
+URDF = """<robot name="{name}"><link name="base"/>
+<joint name="{joint}" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-2" upper="2" effort="30" velocity="3"/></joint>
+<link name="arm"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
+<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="wrist" type="revolute"><parent link="arm"/><child link="hand"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="10" velocity="3"/></joint>
+<link name="hand"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+<inertia ixx="0.002" iyy="0.004" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial></link>
+</robot>"""
+
+SMALL = """
+title = "small"
+q_start = [0.3]
+[robot]
+name = "single_joint"
+[law]
+equation = "9.8"
+kp = 50.0
+ki = 100.0
+kd = 10.0
+[reference]
+kind = "Hold"
+[requirements]
+phase_deg = {phase}
+"""
+
+
+def run(*args: object):
+    return CliRunner().invoke(app, [str(a) for a in args])
+
+
+def small(tmp_path, phase: float = 30.0, more: str = "", name: str = "small.toml"):
+    path = tmp_path / name
+    path.write_text(SMALL.format(phase=phase) + more, encoding="utf-8")
+    return path
+
+
+# --- check ---------------------------------------------------------------------------------------------------------------
+
+
+def test_check_ends_with_0_when_met_and_shows_asked_found_where_when(tmp_path):
+    done = run("check", small(tmp_path))
+    assert done.exit_code == 0, done.output
+    row = next(line for line in done.stdout.splitlines() if "phase margin" in line)
+    assert "PASS" in row and "≥ 30 deg" in row and re.search(r"\d deg .*joint +0 s", row)
+
+
+def test_check_ends_with_1_when_not_met_and_says_what_where_when(tmp_path):
+    done = run("check", small(tmp_path, 89.0))
+    assert done.exit_code == 1
+    assert re.search(r"FAIL: JointPID on single_joint: phase margin: found [\d.]+ deg, asked ≥ 89 deg \(joint, t = 0 s\)", done.stdout)
+
+
+def test_check_ends_with_2_for_bad_input_and_names_the_nearest_key(tmp_path):
+    done = run("check", small(tmp_path, more="overshot = 0.1\n"))
+    assert done.exit_code == 2
+    assert done.stdout == "" and "Traceback" not in done.stderr
+    assert re.search(r"error: .*small\.toml: requirements\.overshot: no such key; did you mean 'overshoot'\?", done.stderr)
+
+
+def test_check_as_json_has_the_same_lines(tmp_path):
+    done = run("check", "--json", small(tmp_path, 89.0))
+    found = json.loads(done.stdout)
+    assert done.exit_code == 1 and found[0]["status"] == "FAIL"
+    line = next(x for x in found[0]["lines"] if x["requirement"] == "phase_deg")
+    assert line["asked"] == 89 and line["found"] < 89 and line["where"] == "joint" and line["when"] == 0
+
+
+def test_check_over_ranges_names_the_worst_case(tmp_path):
+    done = run("check", small(tmp_path, 10.0, "[ranges]\ntorque_lag = [0.0, 0.05]\n"))
+    assert "2 cases" in done.stdout
+    assert "torque_lag = 0.05" in next(line for line in done.stdout.splitlines() if "phase margin" in line)
+
+
+def test_a_reservation_is_not_met_unless_it_is_allowed(tmp_path):
+    path = small(tmp_path)
+    path.write_text(path.read_text().replace("ki = 100.0\n", "").replace("kp = 50.0", "kp = 30.0"))  # sags under gravity: WATCH
+    assert run("check", path).exit_code == 1
+    assert "WATCH" in run("check", path).stdout
+    assert run("check", "--allow-watch", path).exit_code == 0
+
+
+def test_the_commented_study_is_met_and_with_a_doubled_payload_it_is_not(tmp_path):
+    done = run("check", "ur5_payload")
+    assert done.exit_code == 0, done.output
+    text = (folder() / "ur5_payload.toml").read_text(encoding="utf-8")
+    assert "\nmass = 2.0 " in text
+    heavy = tmp_path / "heavy.toml"
+    heavy.write_text(text.replace("\nmass = 2.0 ", "\nmass = 4.0 "), encoding="utf-8")
+    done = run("check", heavy)
+    assert done.exit_code == 1
+    found = r"FAIL: ComputedTorque on ur5: tracking error: found [\d.]+ rad or m, asked ≤ 0\.05 rad or m"
+    assert re.search(found + r" \(\w+_joint, t = [\d.]+ s\)", done.stdout)
+
+
+@pytest.mark.parametrize("name", ["delay_budget_125hz", "panda_steel_and_rubber", "sampled_computed_torque"])
+def test_the_shipped_studies_are_met_and_fail_as_their_comments_say(tmp_path, name):
+    text = (folder() / f"{name}.toml").read_text(encoding="utf-8")
+    if "panda" in name:
+        pytest.importorskip("importlib.metadata").version("example-robot-data")
+        worse = text.replace("kfp = 0.2\nkfi = 5.0\n", "").replace("[loop.law]\n", "")
+    else:
+        worse = text.replace("bandwidth_hz = 8.0", "bandwidth_hz = 16.0").replace("bandwidth_hz = 3.0", "bandwidth_hz = 8.0")
+        worse = worse.replace("[0.001, 0.002, 0.004, 0.008]", "[0.008]").replace("count = 9", "count = 3")
+    assert run("check", name).exit_code == 0
+    assert "exit code 1" in text or "unstable on steel" in text
+    (tmp_path / "worse.toml").write_text(worse, encoding="utf-8")
+    assert run("check", tmp_path / "worse.toml").exit_code == 1
+
+
+@pytest.mark.parametrize("argument", ["nowhere.toml", "."])
+def test_a_study_that_is_not_there_is_bad_input(tmp_path, monkeypatch, argument):
+    monkeypatch.chdir(tmp_path)
+    done = run("check", argument)
+    assert done.exit_code == 2 and "cannot be read" in done.stderr
+
+
+# --- report --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_report_of_a_study_is_the_formats_asked_for_and_stays_in_its_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    small(tmp_path)
+    done = run("report", "small.toml", "--out", "pages", "--format", "json,html")
+    assert done.exit_code == 0, done.output
+    assert sorted(p.name for p in (tmp_path / "pages").iterdir()) == ["small.html", "small.json"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["pages", "small.toml"]
+
+
+def test_hostile_words_in_a_study_are_text_and_write_nothing_outside(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    hostile = '<script>alert(1)</script> "q" $x$ #import "/etc/passwd" ../../up `'
+    title, name = json.dumps(hostile), json.dumps("../../escape/<b>")
+    text = SMALL.format(phase=30).replace('title = "small"', f"title = {title}\ntext = {title}\nname = {title}") + f"[report]\nname = {name}\n"
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "study.toml").write_text(text, encoding="utf-8")
+    done = run("report", "in/study.toml", "--out", "in/pages")
+    assert done.exit_code == 0, done.output
+    assert [p for p in tmp_path.rglob("*") if p.is_file() and p.parent != tmp_path / "in" / "pages"] == [tmp_path / "in" / "study.toml"]
+    page = next((tmp_path / "in" / "pages").glob("*.html")).read_text(encoding="utf-8")
+    assert "<script>alert" not in page and "&lt;script&gt;alert(1)" in page
+    assert json.loads(next((tmp_path / "in" / "pages").glob("*.json")).read_text(encoding="utf-8"))["title"] == hostile
+
+
+def test_report_refuses_formats_and_folders_that_are_none(tmp_path):
+    path = small(tmp_path)
+    assert run("report", path, "--out", tmp_path / "o", "--format", "docx").exit_code == 2
+    assert not (tmp_path / "o").exists()
+    assert run("report", path, "--out", path, "--format", "json").exit_code == 2
+
+
+def test_a_report_shows_ranges_and_limits_and_only_the_sections_asked_for(tmp_path):
+    more = "[ranges]\ntorque_lag = [0.0, 0.01]\n[design]\nmax_delay = true\n[report]\nsections = ['poles']\nformats = ['json']\n"
+    done = run("report", small(tmp_path, 20.0, more), "--out", tmp_path / "o")
+    assert done.exit_code == 0, done.output
+    text = (tmp_path / "o" / "small.json").read_text(encoding="utf-8")
+    titles = [section["title"] for section in json.loads(text)["sections"]]
+    assert any("over the ranges" in t for t in titles) and "How far it may go" in titles
+    assert '"Poles"' in text and "How far the linear model holds" not in text
+
+
+# --- init, studies -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", ["turn", 'a"b $x# <i>'])
+def test_init_writes_a_study_that_runs_as_it_is(tmp_path, monkeypatch, joint):
+    from xml.sax.saxutils import quoteattr
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my arm.urdf").write_text(URDF.replace('"{joint}"', quoteattr(joint)).replace("{name}", "arm"))
+    done = run("init", "my arm.urdf", "--out", "studies/first.toml")
+    assert done.exit_code == 0, done.output
+    text = (tmp_path / "studies" / "first.toml").read_text(encoding="utf-8")
+    assert 'urdf = "../my arm.urdf"' in text and text.count("#") > 20
+    done = run("check", "studies/first.toml")
+    assert done.exit_code == 0, done.output
+    again = run("init", "my arm.urdf", "--out", "studies/first.toml")
+    assert again.exit_code == 2 and "--force" in again.stderr
+    assert run("init", "my arm.urdf", "--out", "studies/first.toml", "--force").exit_code == 0
+
+
+@pytest.mark.parametrize("robot", ["ur5", "rp", "planar_2r", "single_joint", "slider"])
+def test_init_knows_the_embedded_robots(tmp_path, robot):
+    path = tmp_path / "s.toml"
+    assert run("init", robot, "--out", path).exit_code == 0
+    assert run("check", path).exit_code == 0
+
+
+def test_init_locks_what_does_not_move_the_tool_and_asks_for_the_tool_where_it_is_not_plain(tmp_path):
+    finger = """<joint name="f{0}" type="prismatic"><parent link="hand"/><child link="finger{0}"/><axis xyz="0 1 0"/>{1}
+    <limit lower="0" upper="0.04" effort="5" velocity="1"/></joint>
+    <link name="finger{0}"><inertial><mass value="0.01"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+    arm = URDF.replace("{name}", "arm").replace("{joint}", "turn")
+    arm = arm.replace("</robot>", finger.format(1, "") + finger.format(2, '<mimic joint="f1"/>') + "</robot>")
+    (tmp_path / "arm.urdf").write_text(arm)
+    assert run("init", tmp_path / "arm.urdf", "--out", tmp_path / "s.toml", "--tool", "hand").exit_code == 0
+    assert 'locked = ["f1", "f2"]' in (tmp_path / "s.toml").read_text()
+    assert run("check", tmp_path / "s.toml").exit_code == 0
+    (tmp_path / "open.urdf").write_text(arm.replace('<mimic joint="f1"/>', ""))
+    done = run("init", tmp_path / "open.urdf", "--out", tmp_path / "t.toml")
+    assert done.exit_code == 2 and "--tool" in done.stderr and "'finger1', 'finger2'" in done.stderr
+
+
+def test_init_of_what_is_no_robot_is_bad_input(tmp_path):
+    (tmp_path / "bad.urdf").write_text("<robot")
+    for robot in (tmp_path / "bad.urdf", tmp_path / "none.urdf", "no_such_robot"):
+        done = run("init", robot, "--out", tmp_path / "s.toml")
+        assert done.exit_code == 2 and done.stderr.startswith("error: ") and not (tmp_path / "s.toml").exists()
+
+
+def test_studies_lists_and_copies_what_ships(tmp_path):
+    assert "UR5 with a payload" in run("studies").stdout
+    assert run("studies", "--copy", tmp_path / "mine").exit_code == 0
+    assert (tmp_path / "mine" / "ur5_payload.toml").is_file()
+    listed = run("studies", "--keys").stdout
+    for table, key in (("requirements", "disk_margin"), ("law", "kdamp"), ('reference, kind = "ToolCircle"', "radius"), ("(a pose)", "rpy_deg")):
+        assert re.search(rf"^{re.escape(table)} .*\b{key}\b", listed, re.MULTILINE)
+
+
+def test_the_chapter_is_written_into_the_folder_in_the_formats_asked_for(tmp_path, monkeypatch):
+    from mfc_analysis.report.chapter import chapter
+
+    seen = []
+
+    def write_chapter(folder, formats, progress):
+        seen.append((folder, formats))
+        return {"json": folder / "chapter.json"}
+
+    monkeypatch.setattr(chapter, "write_chapter", write_chapter)
+    done = run("report", "--out", tmp_path / "o", "--format", "json")
+    assert done.exit_code == 0 and done.stdout.strip() == str(tmp_path / "o" / "chapter.json")
+    assert run("report", "--out", tmp_path / "o").exit_code == 0
+    assert seen == [(tmp_path / "o", ("json",)), (tmp_path / "o", ("html", "pdf", "json"))]
+
+
+# --- gains, exercises, lists ---------------------------------------------------------------------------------------------
+
+
+def test_gains_prints_what_the_helper_returns():
+    from mfc_analysis import gains, hertz
+
+    assert run("gains", "pid", "--bandwidth-hz", 4).stdout.strip() == str(gains.pid(bandwidth=hertz(4)))
+    several = run("gains", "pd", "--natural-frequency-hz", 10, "--damping", 2, "--inertia", "0.003609725,0.00425").stdout
+    assert "14.2506" in several and "16.7783" in several and "0.907223" in several and "1.068142" in several
+    force = run("gains", "force-pi", "--bandwidth-hz", 1, "--stiffness", 1e4, "--mass", 2, "--lag", 0.001).stdout
+    assert force.strip() == str(gains.force_pi(bandwidth=hertz(1), stiffness=1e4, mass=2, lag=0.001))
+    arm = run("gains", "joint-pid", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--bandwidth", 20)
+    assert arm.exit_code == 0 and "[N" in arm.stdout
+    assert run("gains", "cartesian-damping", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--stiffness", 1000).exit_code == 0
+
+
+def test_gains_take_the_robot_and_the_pose_of_a_study(tmp_path):
+    study = tmp_path / "one.toml"
+    assert run("init", "single_joint", "--out", study).exit_code == 0
+    of_study = run("gains", "joint_pid", "--bandwidth-hz", 4, "--robot", study)
+    of_robot = run("gains", "joint-pid", "--bandwidth-hz", 4, "--robot", "single_joint")
+    assert of_study.exit_code == 0 and of_study.stdout == of_robot.stdout
+    refused = run("gains", "joint-pid", "--bandwidth-hz", 4, "--robot", study, "--tool", "tool")
+    assert refused.exit_code == 2 and "--tool" in refused.stderr
+
+
+@pytest.mark.parametrize("command", ["gains", "exercise"])
+def test_help_says_the_units(command):
+    said = " ".join(run(command, "--help").stdout.replace("│", " ").split())
+    for unit in {"gains": ("in rad/s.", "in s.", "in N/m", "in kg."), "exercise": ("in degrees.", "in kg m^2.", "in m.", "in s.")}[command]:
+        assert unit in said
+    assert " ." not in said  # an empty place where a unit in brackets was taken for markup
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("pdi", "--bandwidth", 1), "did you mean"),
+        (("pid",), "exactly one of the four"),
+        (("pid", "--bandwidth", 1, "--crossover", 2), "exactly one"),
+        (("pid", "--bandwidth", 1, "--bandwidth-hz", 2), "--bandwidth"),
+        (("pid", "--bandwidth", -1), "bandwidth"),
+        (("p", "--bandwidth", 1, "--damping", 1), "--damping"),
+        (("pid", "--bandwidth", 1, "--inertia", "a"), "--inertia"),
+        (("joint-pid", "--bandwidth", 1), "--robot"),
+        (("force-pi", "--bandwidth", 1, "--mass", 1), "--stiffness"),
+        (("pid", "--bandwidth", 1, "--stiffness", 3), "--stiffness"),
+    ],
+)
+def test_gains_that_cannot_be_are_bad_input(options, said):
+    done = run("gains", *options)
+    assert done.exit_code == 2 and said in done.stderr
+
+
+def test_exercises_run_unattended_say_their_defaults_and_write_the_graph(tmp_path):
+    done = run("exercise", "9.3", "--kp", 80, "--out", tmp_path / "o")
+    assert done.exit_code == 0, done.output
+    assert "(default)" in done.stdout and re.search(r"kp \[1/s\^2\] +80\n", done.stdout)
+    assert "inverse dynamics" in done.stdout and "starts at q = 0 deg" in done.stdout
+    assert (tmp_path / "o" / "exercise-9-3.svg").read_text(encoding="utf-8").startswith("<?xml")
+    torques = run("exercise", "9.4", "--theta-deg", 90, "--d", 2)
+    assert "tau = J^T F = [-6 N m, 4 N]" in torques.stdout
+    unstable = run("exercise", "9.1", "--ki", 5000)
+    assert "NOT STABLE" in unstable.stdout and "lower ki below" in unstable.stdout
+    assert run("exercise", "9.9").exit_code == 2
+    assert run("exercise", "9.1", "--fx", 1).exit_code == 2
+
+
+def test_laws_and_robots_list_what_there_is():
+    laws, robots = run("laws").stdout, run("robots").stdout
+    for number, law in LAWS.items():
+        assert re.search(rf"{re.escape(number)} +{law.__name__}", laws)
+    for name in ("single_joint", "ur5", "panda", "xarm7"):
+        assert re.search(rf"^ ?{name} ", robots, re.MULTILINE)
+    assert ":math:" not in robots and "``" not in robots
+
+
+# --- habits --------------------------------------------------------------------------------------------------------------
+
+
+def test_help_loads_nothing_heavy():
+    heavy = ("numpy", "scipy", "pinocchio", "control", "matplotlib", "pydantic")
+    code = f"import sys, mfc_analysis.cli.app; print([m for m in {heavy} if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    done = subprocess.run([sys.executable, "-m", "mfc_analysis", "--help"], capture_output=True, text=True, check=True)
+    assert "check" in done.stdout and "exercise" in done.stdout
+
+
+def test_the_version_is_said():
+    assert run("--version").stdout.strip() == f"mfc-analysis {__version__}"
+
+
+def test_no_progress_bar_without_a_terminal(tmp_path):
+    done = run("check", small(tmp_path, 10.0, "[ranges]\ntorque_lag = [0.0, 0.01]\n"))
+    assert done.stderr == "" and "\x1b" not in done.stdout
+
+
+def test_what_does_not_print_is_spelt_out(tmp_path):
+    assert plain("a\x1b[31mb\x07\nc é ≥") == "a\\x1b[31mb\\x07\nc é ≥"
+    done = run("check", small(tmp_path, 10.0, '[[loop]]\nname = "\\u001b[31mred [bold]x[/bold]"\n'))
+    assert "\x1b" not in done.stdout and "\\x1b[31mred [bold]x[/bold]" in done.stdout
+
+
+def test_warnings_are_a_line_each_on_the_standard_error(tmp_path):
+    path = small(tmp_path)
+    path.write_text(path.read_text().replace('name = "single_joint"', 'name = "single_joint"\nparameters = { inertia = 0.005 }'))
+    done = run("check", path)
+    assert done.stderr.count("warning: inertia=0.005") == 1 and ".py" not in done.stderr

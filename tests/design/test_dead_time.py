@@ -1,0 +1,45 @@
+"""Loops over dead time: the exact roots against a scalar equation, and both sides of the limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mfc_analysis as mfc
+from mfc_analysis.design.dead_time import delay_map, over_delay
+from mfc_analysis.errors import BadArgument, Unsupported
+
+
+def loop(k: float = 4.0, **hardware: float) -> mfc.ClosedLoop:
+    return mfc.ClosedLoop(mfc.robots.planar_2r(), mfc.laws.VelocityP(k), mfc.trajectories.Hold([0.3, 0.2]), hardware=mfc.Hardware(**hardware))
+
+
+def test_growth_solves_the_delayed_integrators_equation() -> None:
+    k = 4.0
+    for T, s in zip((0.1, 0.5), over_delay(loop(k), [0.1, 0.5]), strict=True):  # s + k e^(-s T) = 0, rightmost by Newton from above
+        root = complex(-k, k) if T < 0.2 else complex(0.1, np.pi / 2 / T)
+        for _ in range(50):
+            root -= (root + k * np.exp(-root * T)) / (1 - k * T * np.exp(-root * T))
+        assert s == pytest.approx(root.real, abs=1e-9)
+
+
+def test_the_limit_is_a_quarter_turn_on_both_sides() -> None:
+    limit = np.pi / 2 / 4.0
+    below, above = over_delay(loop(4.0), [0.999 * limit, 1.001 * limit])
+    assert below < 0 < above
+
+
+def test_a_map_scales_with_the_gain() -> None:
+    found = delay_map(loop, [0.05, 0.1, 0.2, 0.4], [2.0, 4.0, 8.0])
+    assert (found.stable == (np.outer([2.0, 4.0, 8.0], [0.05, 0.1, 0.2, 0.4]) < np.pi / 2)).all()
+
+
+def test_the_loops_own_dead_time_is_replaced() -> None:
+    assert over_delay(loop(delay=0.3), [0.1])[0] == pytest.approx(over_delay(loop(), [0.1])[0], rel=1e-12)
+
+
+def test_bad_input_is_named() -> None:
+    with pytest.raises(BadArgument, match="delays"):
+        over_delay(loop(), [0.0])
+    with pytest.raises(Unsupported, match="sample_time"):
+        over_delay(loop(sample_time=0.01), [0.1])

@@ -1,0 +1,146 @@
+"""The equations of the loop: layout of states, wires that can be cut, external inputs, friction, and the same lines for plain and dual arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mfc_analysis import laws as L, robots
+from mfc_analysis.dynamics.equations import Inputs, Wires
+from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.dual import Dual, value
+from mfc_analysis.maths.se3 import exp6, inverse, log6
+from mfc_analysis.trajectories import Hold, ToolHold
+from tests.conftest import LAWS, Case, arm, fits, loop_of, moving, named, plant, regular_pose, seed, surfaces
+
+T = np.array([0.1, 0.9])
+
+
+#: wires that a law doesn't listen to
+SILENT = {"9.1": ("position",), "9.9 standard": ("position", "rate"), "9.9 printed": ("position", "rate"), "9.21": ("rate",), "9.22": ("rate",)}
+
+
+def state(case: Case, name: str, **more: object) -> tuple[ClosedLoop, np.ndarray]:
+    loop = loop_of(case, name, contact=case.law(6).plant == "torque", **more)
+    x = loop.linearize(T).point.x
+    return loop, x + 0.02 * seed(case.name).normal(size=x.shape)
+
+
+def test_states_are_named_by_slot_and_channel_in_the_order_of_the_drawing() -> None:
+    hardware = Hardware(torque_lag=1e-3, velocity_filter=1e-3, force_filter=1e-3, joint_stiffness=1e3, motor_inertia=0.1)
+    law = L.HybridMotionForce(np.zeros(6), 90.0, 10.0, 18.0, 1.0, 2.0, constraints=np.eye(6)[[2]])
+    e = ClosedLoop(arm("ur5"), law, Hold(regular_pose("ur5")), hardware=hardware).equations
+    assert list(e.parts) == ["q", "v", "theta", "omega", "z", "z_f", "v_filter", "F_filter", "lag"]
+    assert e.state_names[0] == "q_shoulder_pan_joint" and e.state_names[24:30] == ("z_vx", "z_vy", "z_vz", "z_wx", "z_wy", "z_wz")
+    assert e.state_names[30:36] == ("z_f_fx", "z_f_fy", "z_f_fz", "z_f_mx", "z_f_my", "z_f_mz") and e.state_names[-1] == "lag_wrist_3_joint"
+    assert e.nx == len(e.state_names) == 54 and e.integrals == tuple(range(24, 36))
+    assert e.plant_states == (*range(24), *range(48, 54))
+    assert e.wire_sizes() == {"torque": 6, "command": 6, "position": 6, "rate": 6, "force": 6}
+
+
+ON_THREE = [(name, case) for name in ("planar_2r", "ur5", "panda") for case in LAWS if fits(case, name)]
+
+
+@pytest.mark.parametrize(("name", "case"), [x for x in ON_THREE if x[1].name != "9.9 printed"], ids=str)  # its dual form needs the torque wire cut
+def test_plain_and_dual_arrays_have_the_same_values(name: str, case: Case) -> None:
+    loop, x = state(case, name)
+    e = loop.equations
+    plain, dual = e.flow(T, x), e.flow(T, Dual(x, np.zeros((*x.shape, 1))))
+    for slot in e.parts:
+        assert_allclose(value(dual.rates[slot]), value(plain.rates[slot]), rtol=1e-10, atol=1e-9 * max(1.0, np.abs(value(plain.rates[slot])).max()))
+    assert_allclose(value(dual.error), value(plain.error), atol=1e-12)
+    one = e.rates(T[1], x[1])  # a point alone, as a simulation asks
+    assert_allclose(one, e.rates(T, x)[1], rtol=1e-10, atol=1e-9 * np.abs(one).max())
+
+
+@pytest.mark.parametrize("case", LAWS, ids=str)
+def test_each_wire_can_be_cut_and_what_goes_on_is_what_is_put_in(case: Case) -> None:
+    """Cut with its own value nothing changes; cut with another one everything behind it does, and what arrives is recorded."""
+    loop, x = state(case, "ur5")
+    e = loop.equations
+    whole = Wires()
+    closed = e.flow(T, x, whole)
+    for name, size in e.wire_sizes().items():
+        signal = value(closed.command) if name == e.actuator else value(whole.recorded[name])
+        assert signal.shape == (2, size)
+        same = Wires({name: np.array(signal)})
+        again = e.flow(T, x, same)
+        for slot in e.parts:
+            rate = value(closed.rates[slot])
+            assert_allclose(value(again.rates[slot]), rate, rtol=1e-9, atol=1e-8 * max(1.0, np.abs(rate).max()))
+        assert_allclose(value(same.recorded[name]), signal, atol=1e-9 * max(1.0, np.abs(signal).max()))
+        other = e.flow(T, x, Wires({name: signal + 0.1}))
+        changed = any(not np.allclose(value(other.rates[slot]), value(closed.rates[slot]), rtol=1e-9) for slot in e.parts)
+        assert changed != (name in SILENT.get(case.name, ())), name
+
+
+def test_every_point_that_a_law_can_be_opened_at_has_a_wire() -> None:
+    for case in LAWS:
+        loop, _ = state(case, "ur5")
+        assert set(loop.law.opens_at) <= set(loop.equations.wire_sizes())
+        assert loop.default_at in loop.law.opens_at
+        assert loop.default_at == ("velocity" if loop.law.equation in ("9.1", "9.2", "9.3", "9.4", "9.5") else "torque")
+
+
+def test_a_disturbance_and_a_reference_shift_enter_where_they_should() -> None:
+    loop, x = state(named("9.8")[0], "planar_2r")
+    e, d = loop.equations, np.array([1.0, -2.0])
+    pushed, alone = (value(e.flow(T, x, None, Inputs(disturbance=b)).rates["v"]) for b in (d, None))
+    q = x[:, :2]
+    assert_allclose(pushed - alone, np.linalg.solve(plant("planar_2r").mass(q), np.broadcast_to(d[:, None], (2, 2, 1)))[..., 0], atol=1e-9)
+    shifted = e.flow(T, x, None, Inputs(reference=d))
+    assert_allclose(value(shifted.error) - value(e.flow(T, x).error), np.broadcast_to(d, (2, 2)), atol=1e-12)
+
+
+def test_a_joint_reference_under_a_tool_law_is_the_motion_of_its_tool() -> None:
+    e = ClosedLoop(plant("ur5"), L.TaskVelocity(3.0), moving("ur5")).equations
+    t, h = 0.4, 1e-4
+    ref = e.reference(t)
+    X = [arm("ur5").pose(moving("ur5")(t + s).q) for s in (-h, 0.0, h)]
+    assert_allclose(ref.X.matrix, X[1], atol=1e-12)
+    assert_allclose(ref.V, log6(inverse(X[0]) @ X[2]) / (2 * h), atol=1e-6)
+    assert_allclose(ref.dV, (e.reference(t + h).V - e.reference(t - h).V) / (2 * h), atol=1e-6)
+
+
+def test_a_reference_pose_moves_along_its_own_axes() -> None:
+    q = regular_pose("ur5")
+    loop = ClosedLoop(arm("ur5"), L.TaskVelocity(3.0), ToolHold(arm("ur5").pose(q)), q_start=q)
+    twist = np.array([0.1, 0.2, -0.3, 0.3, -0.1, 0.2])
+    lin = loop.linearize([0.0], coordinates="state")
+    columns = [lin.input_names.index(f"X_d_{c}") for c in ("vx", "vy", "vz", "wx", "wy", "wz")]
+    rows = [lin.output_names.index(f"X_e_{c}") for c in ("vx", "vy", "vz", "wx", "wy", "wz")]
+    assert_allclose(lin.D[0][np.ix_(rows, columns)], np.eye(6), atol=1e-12)
+    h = 1e-5
+    moved = [log6(inverse(arm("ur5").pose(q)) @ arm("ur5").pose(q) @ exp6(s * h * twist)) for s in (-1, 1)]
+    assert_allclose(lin.D[0][np.ix_(rows, columns)] @ twist, (moved[1] - moved[0]) / (2 * h), atol=1e-9)
+
+
+def test_the_plants_own_friction_is_in_the_plant_and_only_the_models_viscous_part_in_the_law() -> None:
+    robot = robots.single_joint(damping=0.4).with_friction(viscous=0.4, coulomb=0.7, coulomb_speed=0.05)
+    model = robots.single_joint(damping=0.25)
+    e = ClosedLoop(robot, L.ComputedTorque(50.0, kd=10.0), Hold([0.0]), model).equations
+    q, v = 0.2, 0.6
+    flow = e.flow(0.0, np.array([q, v]))
+    tau = 0.5 * (50.0 * -q + 10.0 * -v) + 0.981 * np.cos(q) + 0.25 * v
+    assert_allclose(value(flow.command), tau, atol=1e-12)
+    assert_allclose(value(flow.rates["v"]), (tau - 0.981 * np.cos(q) - 0.4 * v - 0.7 * np.tanh(v / 0.05)) / 0.5, atol=1e-12)
+
+
+def test_two_loops_with_shared_parts_do_not_disturb_each_other() -> None:
+    q = regular_pose("ur5")
+    first = ClosedLoop(plant("ur5"), L.DampedForcePI(np.ones(6), 1.0, 2.0, 20.0), Hold(q), arm("ur5"), surfaces("ur5", q))
+    second = ClosedLoop(arm("ur5"), L.DampedForcePI(2 * np.ones(6), 1.0, 2.0, 20.0), Hold(q), plant("ur5"))
+    x = np.r_[q, 0.1 * np.ones(12)]
+    one = first.equations.rates(0.0, x)
+    second.equations.rates(0.0, x + 0.1)
+    assert_allclose(first.equations.rates(0.0, x), one, rtol=0)
+
+
+def test_the_drawing_shows_every_wire() -> None:
+    import mfc_analysis.dynamics.equations
+
+    drawn = mfc_analysis.dynamics.equations.__doc__ or ""
+    for wire in ("torque", "velocity", "command", "position", "rate", "force"):
+        assert f'"{wire}"' in drawn

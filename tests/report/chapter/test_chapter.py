@@ -1,0 +1,128 @@
+"""The chapter as a whole: verdicts that follow the gains, loops that are only shown, the overview of all loops."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+
+import matplotlib
+import numpy as np
+import pytest
+
+from mfc_analysis.plots import figure as sheet
+from mfc_analysis.report.chapter import chapter, joint_torque, velocity
+from mfc_analysis.report.chapter.arms import Designs, arms
+from mfc_analysis.report.document.document import Document, Status
+from mfc_analysis.report.document.tree import tree
+from mfc_analysis.report.document.verdict import verdict
+from mfc_analysis.report.render.write import rendered
+from tests.plots.test_figure import texts
+
+LOOP = "9.8 independent PID, planar 2R"
+
+
+def made(designs: Designs) -> Document:
+    """9.1 and 9.8 alone: a document with loops that are shown and loops that are judged."""
+    parts = (lambda: (velocity.open_loop(designs),), partial(lambda d: (joint_torque.independent(d),), designs))
+    return chapter.chapter_document(parts=parts)
+
+
+@pytest.fixture(scope="module")
+def good() -> Document:
+    return made(Designs())
+
+
+@pytest.fixture(scope="module")
+def bad() -> Document:
+    """The integral gains of 9.8 made so large that no arm stays stable."""
+    return made(Designs(scale={"9.8": {"ki": 30.0}}))
+
+
+def sections_of(data: dict, out: list | None = None) -> list[dict]:
+    found = [] if out is None else out
+    for section in data["sections"]:
+        found.append(section)
+        sections_of(section, found)
+    return found
+
+
+def test_loops_that_are_shown_to_fail_do_not_fail_the_chapter(good):
+    found = verdict(good)
+    assert found.status is Status.PASS
+    assert "3 loops are shown beside them" in found.detail
+    assert good.sections[0].status is Status.FAIL  # and are still said to be what they are
+
+
+def test_a_gain_that_makes_a_loop_unstable_changes_banner_matrix_section_and_json(good, bad):
+    pages = rendered(bad, ("html", "json"))
+    page, data = pages["html"].decode(), json.loads(pages["json"])
+    before = json.loads(rendered(good, ("json",))["json"])
+    assert (before["verdict"]["status"], data["verdict"]["status"]) == ("PASS", "FAIL")
+    assert '<div class="banner fail"' in page
+    assert "missed on 3 of 3 loops" in data["verdict"]["detail"]
+    section = next(s for s in sections_of(data) if s["loop"] == LOOP)
+    assert (section["status"] == "FAIL" and "Not stable" in section["finding"]) or "unstable" in section["finding"]
+    check = next(c for c in section["checks"] if c["name"] == "stable")
+    assert check["status"] == "FAIL" and check["found"] > 0
+    assert max(complex(z["re"], z["im"]).real if isinstance(z, dict) else z for z in section["numbers"]["poles"]) > 0
+    assert next(c for c in section["checks"] if c["name"] == "phase margin")["found"] == "unstable"
+    assert f'<a class="cell fail" href="#{section["id"]}">' in page
+
+
+def test_an_unstable_chapter_still_has_all_its_figures(bad):
+    data = json.loads(rendered(bad, ("json",))["json"])
+    assert all(f["alt"].strip() for f in data["figures"])
+    assert any("unstable" in f["alt"] or "not stable" in f["alt"] for f in data["figures"])
+
+
+def test_every_loop_stands_in_the_matrix_and_in_the_appendix_of_poles(good):
+    data = json.loads(rendered(good, ("json",))["json"])
+    loops = {s["loop"] for s in sections_of(data) if s["loop"]}
+    poles = next(s for s in data["sections"] if s["id"] == "all-poles")
+    assert {row[0] for row in poles["tables"][0]["rows"]} == loops and len(loops) == 6
+
+
+def test_poles_that_are_alike_are_counted_and_pairs_are_told_once():
+    assert chapter.poles_words([-2.0, -2.0, -1 + 3j, -1 - 3j]) == "−2.00 (×2),  −1.00 ± 3.00j"
+
+
+def test_the_overview_of_validity_names_the_loop_that_stops_holding_first(good):
+    data = json.loads(rendered(good, ("json",))["json"])
+    found = {s["loop"]: s["numbers"]["validation"]["radius"] for s in sections_of(data) if "validation" in s["numbers"]}
+    finite = {k: v for k, v in found.items() if not isinstance(v, str)}
+    section = next(s for s in data["sections"] if s["id"] == "linear-against-nonlinear")
+    assert min(finite, key=finite.get) in section["finding"]
+    assert len(section["tables"][0]["rows"]) == len(found)
+
+
+def test_progress_counts_every_part():
+    told: list[tuple[int, int]] = []
+    chapter.chapter_document(lambda done, of: told.append((done, of)), parts=(lambda: (), lambda: ()))
+    assert told == [(1, 2), (2, 2)]
+
+
+def test_the_parts_of_the_chapter_are_those_that_are_there():
+    found = [part.__module__.rpartition(".")[2] for part in chapter.collected()]
+    assert found[:2] == ["velocity", "joint_torque"] and set(found) <= set(chapter.PARTS)
+
+
+def test_the_same_chapter_twice_is_the_same_bytes(good):
+    again = made(Designs())
+    assert rendered(good, ("html", "json")) == rendered(again, ("html", "json"))
+
+
+def test_designs_scale_the_gains_of_one_equation_only():
+    scaled, plain = Designs(scale={"9.10": {"ki": 2.0}}), Designs()
+    arm = arms()[0]
+    assert np.isclose(scaled.law("9.10", arm).gains()["ki"].array, 2 * plain.law("9.10", arm).gains()["ki"].array)
+    assert np.isclose(scaled.law("9.8", arm).gains()["ki"].array, plain.law("9.8", arm).gains()["ki"].array)
+
+
+@pytest.mark.parametrize("which", ["good", "bad"])
+def test_no_text_leaves_its_sheet_in_the_figures_of_the_chapter(which, request, monkeypatch):
+    with matplotlib.rc_context(sheet.settings()):
+        for drawing in tree(request.getfixturevalue(which)).figures.values():
+            for said, box, whole in texts(sheet.figure_of(drawing.draw()), monkeypatch):
+                inside = box.x0 > -0.5 and box.y0 > -0.5 and box.x1 < whole.width + 0.5 and box.y1 < whole.height + 0.5
+                assert inside, f"{said!r} in {drawing.alt}"
+            monkeypatch.undo()

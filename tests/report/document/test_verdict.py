@@ -1,0 +1,101 @@
+"""Banner, matrix and worst case follow from the checks, in every format at once."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from mfc_analysis.report.document.document import Check, Document, Section, Status
+from mfc_analysis.report.document.verdict import matrix, requirements, verdict
+from mfc_analysis.report.render.write import rendered
+from tests.report import samples
+
+NAN = float("nan")
+
+
+def test_a_gain_that_makes_a_loop_unstable_changes_banner_matrix_section_and_json():
+    good, bad = (rendered(samples.chapter(phase), ("html", "json")) for phase in (62.0, NAN))
+    page, data = bad["html"].decode(), json.loads(bad["json"])
+    assert "PASS: All 6 checks are met" in good["html"].decode()
+    assert "FAIL: 2 of 6 checks are missed" in page
+    assert (data["verdict"]["status"], json.loads(good["json"])["verdict"]["status"]) == ("FAIL", "PASS")
+    section = next(x for x in data["sections"] if x["loop"] == "single joint")
+    assert section["status"] == "FAIL"
+    assert section["checks"][0]["found"] == "unstable" and section["numbers"]["phase"] == "not defined"
+    assert '<a class="cell fail" href="#computed-torque-single-joint">' in page
+    assert "unstable" in data["verdict"]["detail"] and "single joint" in data["verdict"]["detail"]
+
+
+def test_the_worst_check_is_the_one_farthest_beyond_its_limit():
+    found = verdict(samples.chapter(30.0))
+    assert found.check.found == 30.0 and found.section.loop == "single joint"
+    assert found.sentence == "2 of 6 checks are missed"
+
+
+def test_without_a_miss_the_tightest_check_is_named():
+    found = verdict(samples.chapter(62.0))
+    assert (found.status, found.section.loop) == (Status.PASS, "planar 2R")
+    assert found.detail.startswith("Tightest: phase margin of planar 2R: 47.0° against at least 45°")
+
+
+def test_nothing_asked_is_no_pass():
+    found = verdict(Document("t", "s", (Section("one"),)))
+    assert found.status is Status.INFO and "Nothing was asked" in found.sentence
+
+
+def test_a_section_with_a_verdict_of_its_own_keeps_the_banner_from_passing():
+    checks = (Check("x", 1.0, 2.0, "", 1.0, Status.PASS),)
+    found = verdict(Document("t", "s", (Section("one", checks=checks), Section("two", verdict=Status.WATCH))))
+    assert found.status is Status.WATCH and "reservation" in found.sentence
+
+
+def test_every_cell_of_the_matrix_leads_to_the_section_of_its_check():
+    document = samples.chapter()
+    keys = {id(s): f"key-{i}" for i, s in enumerate(document.sections)}
+    found = matrix(document, keys)
+    assert found.columns == ("phase margin [°]", "gain reduction [dB]")
+    assert [(name, cells[0].target) for name, _, cells in found.rows] == [("UR5 + 2 kg", "key-0"), ("single joint", "key-1"), ("planar 2R", "key-2")]
+
+
+def test_checks_that_few_loops_have_share_a_column_of_a_wide_matrix():
+    common = tuple(Check(f"c{i}", 1.0, 2.0, "", 1.0, Status.PASS) for i in range(8))
+    odd = Check("odd", 1.0, 0.5, "m", -0.5, Status.FAIL)
+    sections = tuple(Section(f"s{i}", checks=(*common, odd) if i == 0 else common, loop=f"s{i}") for i in range(6))
+    found = matrix(Document("t", "s", sections), {id(s): s.title for s in sections})
+    assert found.columns == (*(f"c{i}" for i in range(8)), "other checks")
+    assert found.rows[0][2][-1].text == "odd: 0.500 m" and found.rows[1][2][-1] is None
+
+
+def test_loops_that_are_only_shown_keep_their_status_and_leave_the_banner_alone():
+    bad = Check("x", 1.0, 0.0, "", -1.0, Status.FAIL)
+    good = Check("x", 1.0, 2.0, "", 1.0, Status.PASS)
+    shown = Section("open", checks=(bad,), loop="open", shown="open loop")
+    document = Document("t", "s", (Section("used", checks=(good,), loop="used"), Section("law", sections=(shown,))))
+    found = verdict(document)
+    assert shown.status is Status.FAIL and found.status is Status.PASS and found.check is good
+    assert "1 loop is shown beside them" in found.detail and "1 of 1 misses a limit" in found.detail
+    page = json.loads(rendered(document, ("json",))["json"])
+    assert page["sections"][1]["sections"][0]["status"] == "FAIL" and page["sections"][1]["sections"][0]["shown"] == "open loop"
+
+
+def test_two_checks_in_one_cell_show_the_worse():
+    good, bad = (Check("x", 1.0, 1 + d, "", d, s) for d, s in ((1.0, Status.PASS), (-0.5, Status.FAIL)))
+    sections = (Section("a", checks=(good,), loop="L"), Section("b", checks=(bad,), loop="L"))
+    found = matrix(Document("t", "s", sections), {id(s): s.title for s in sections})
+    assert found.rows[0][2][0].status is Status.FAIL and found.rows[0][2][0].target == "b"
+
+
+def test_a_document_without_loops_has_no_matrix():
+    assert matrix(Document("t", "s", (Section("a"),)), {}) is None
+
+
+def test_requirements_are_listed_failures_first():
+    table = requirements(samples.document().sections[0])
+    assert table.rows[0][0] == "overshoot"
+    assert [row[3] for row in table.rows] == [Status.FAIL, Status.PASS, Status.PASS, Status.PASS]
+
+
+@pytest.mark.parametrize("overshoot", [9.99, 10.01])
+def test_the_banner_turns_exactly_where_a_check_does(overshoot):
+    assert verdict(samples.document(overshoot)).status is (Status.PASS if overshoot < 10 else Status.FAIL)

@@ -1,0 +1,219 @@
+"""Requirements against loops whose figures are known in closed form, from both sides of each limit."""
+
+import math
+
+import numpy as np
+import pytest
+
+import mfc_analysis as mfc
+from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint
+from mfc_analysis.requirements.evidence import Found
+from mfc_analysis.requirements.requirements import KINDS, Line, Requirements, Status, compared
+
+K = 5.0  # [1/s]
+W = 4.0  # [rad/s] of the triple pole
+
+
+def hold(n: int = 1, q: float = 0.3):
+    return mfc.trajectories.Hold(np.full(n, q))
+
+
+def velocity_p(k: float = K):
+    return mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.VelocityP(k), hold())
+
+
+def triple_pole():
+    """9.10 with an exact model: every pole at -W; conditionally stable."""
+    return mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.ComputedTorque(kp=3 * W**2, ki=W**3, kd=3 * W), hold())
+
+
+def pressing(kdamp: float = 40.0, lag: float = 5e-3, stiffness: float = 1e3, kfp: float = 2.0, kfi: float | None = None):
+    """One mass on a spring under 9.23; with kfi None the gain of the force signal may grow to kdamp / (T k kfp)."""
+    law = mfc.laws.DampedForcePI([0, 0, 5, 0, 0, 0], kfp=kfp, kfi=kfi, kdamp=kdamp)
+    surface = mfc.Environment(stiffness, preload=5.0)
+    return mfc.ClosedLoop(mfc.robots.slider(mass=2.0), law, hold(q=0.0), environment=surface, hardware=mfc.Hardware(torque_lag=lag))
+
+
+def second_order(zeta: float = 0.5, w: float = 10.0):
+    return mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.ComputedTorque(kp=w**2, kd=2 * zeta * w), hold())
+
+
+ZETA, W2 = 0.5, 10.0
+PHASE_PD = math.degrees(math.atan(2 * ZETA * math.sqrt(2 * ZETA**2 + math.sqrt(4 * ZETA**4 + 1))))
+
+#: field, loop, analysis point, its value in closed form
+KNOWN = [
+    ("phase_deg", velocity_p, "velocity", 90.0),
+    ("delay", velocity_p, "velocity", math.pi / (2 * K)),
+    ("disk_margin", velocity_p, "velocity", 2.0),
+    ("settling_time", velocity_p, None, math.log(50.0) / K),
+    ("gain_reduction_db", triple_pole, "command", 20 * math.log10(9.0)),
+    ("gain_increase_db", pressing, "force", 20 * math.log10(40.0 / (5e-3 * 1e3 * 2.0))),
+    ("damping_ratio", second_order, None, ZETA),
+    ("phase_deg", second_order, "command", PHASE_PD),
+]
+
+
+def one_sided(field: str, value: float) -> tuple[Requirements, Requirements]:
+    """Requirements that a figure of this value meets by 0.1 %, and misses by 0.1 %."""
+    inside, outside = (0.999, 1.001) if KINDS[field].least else (1.001, 0.999)
+    out = [value * inside, min(value * outside, KINDS[field].high)]
+    return Requirements(**{field: out[0]}), Requirements(**{field: out[1]})
+
+
+@pytest.mark.parametrize(("field", "make", "at", "value"), KNOWN, ids=lambda x: x if isinstance(x, str) else getattr(x, "__name__", ""))
+def test_closed_forms_are_found_and_limits_hold_from_both_sides(field, make, at, value):
+    loop = make()
+    passes, fails = one_sided(field, value)
+    verdict = passes.check(loop, [0.0], at=at)
+    assert verdict.line(field).found == pytest.approx(value, rel=1e-6)
+    assert verdict.passed and verdict.status == "PASS"
+    if value * 1.001 <= KINDS[field].high:  # 1.001 of the largest disk margin cannot be asked for
+        assert not fails.check(loop, [0.0], at=at).passed
+        assert fails.check(loop, [0.0], at=at).status == "FAIL"
+
+
+@pytest.mark.parametrize("field", [*KINDS])
+def test_every_figure_passes_at_a_thousandth_inside_and_fails_at_a_thousandth_outside(field):
+    robot = mfc.robots.ur5()
+    loop = mfc.ClosedLoop(
+        robot.with_payload(2.0),
+        mfc.laws.ComputedTorque(kp=100, ki=100, kd=20),
+        mfc.trajectories.Quintic(np.full(6, 0.5), np.full(6, 1.0), 1.0),
+        controller_model=robot,
+        hardware=mfc.Hardware(torque_lag=5e-3, velocity_filter=3e-3),
+    )
+    times = np.linspace(0, 1, 3)
+    value = Requirements(**{field: KINDS[field].low}).check(loop, times).line(field).found
+    assert math.isfinite(value) and value > 0
+    passes, fails = one_sided(field, value)
+    assert passes.check(loop, times).passed
+    verdict = fails.check(loop, times)
+    assert verdict.status is Status.FAIL and verdict.worst.name == field and verdict.worst.distance < 0
+    assert verdict.worst.where and verdict.worst.when is not None
+
+
+def test_margins_agree_with_those_of_the_linearised_loop_at_their_place_and_time():
+    robot = mfc.robots.ur5()
+    loop = mfc.ClosedLoop(robot.with_payload(3.0), mfc.laws.ComputedTorque(kp=100, ki=200, kd=20), hold(6), controller_model=robot)
+    times = np.array([0.0, 0.5])
+    line = Requirements(gain_reduction_db=6).check(loop, times, at="position").line("gain_reduction_db")
+    margins = loop.linearize(times).margins("position")
+    assert line.found == pytest.approx(margins.gain_reduction_db.min(), rel=1e-12)
+    assert margins.gain_reduction_db[int(np.searchsorted(times, line.when)), margins.channels.index(line.where)] == line.found
+
+
+def test_stability_is_always_asked():
+    verdict = Requirements().check(velocity_p(), [0.0])
+    assert [line.name for line in verdict.lines] == ["stable"]
+    assert verdict.line("stable").found == pytest.approx(-K, rel=1e-12)
+    assert verdict.passed
+
+
+def test_an_unstable_loop_fails_in_every_margin_and_stable_comes_first():
+    loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.JointPID(5.0, 100.0, 2.0), hold())
+    verdict = Requirements(phase_deg=0, gain_increase_db=0, sensitivity_peak=1e9, disk_margin=0, settling_time=1e9, overshoot=1e9).check(loop, [0.0])
+    assert verdict.status == "FAIL" and not verdict.passed
+    assert verdict.lines[0].name == "stable" and verdict.lines[0].found > 0
+    assert all(line.status == "FAIL" and math.isnan(line.found) for line in verdict.lines[1:])
+
+
+@pytest.mark.parametrize("field", [*KINDS])
+def test_nan_never_passes(field):
+    line = compared(field, KINDS[field].low, Found(math.nan))
+    assert line.status is Status.FAIL
+
+
+def test_nothing_but_neutral_roots_is_said_to_be_neutral_and_does_not_pass():
+    loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.VelocityFeedforward(), hold())
+    verdict = Requirements(phase_deg=0).check(loop, [0.0])
+    assert verdict.status == "FAIL" and "neutral" in verdict.line("stable").note
+
+
+def test_a_drifting_loop_keeps_its_figures_and_is_watch_at_best():
+    law = mfc.laws.DampedForcePI([0, 0, 5, 0, 0, 0], kfp=2.0, kfi=3.0, kdamp=20.0)
+    loop = mfc.ClosedLoop(mfc.robots.slider(), law, hold(q=0.0))  # 9.23 in free space: the speed ramps
+    verdict = Requirements(phase_deg=45).check(loop, [0.0])
+    assert verdict.status == "WATCH" and not verdict.passed and verdict.drifts
+    assert verdict.line("phase_deg").status == "PASS"
+    assert "drifts" in verdict.line("stable").note
+
+
+def test_a_residual_that_matters_is_watch_with_the_sag_it_implies():
+    inertia, mass, com, kp = 0.5, 1.0, 0.1, 40.0
+    robot = mfc.robots.single_joint(inertia=inertia, mass=mass, com_distance=com)
+    loop = mfc.ClosedLoop(robot, mfc.laws.JointPID(kp, kd=5.0), hold(q=0.3))
+    verdict = Requirements(phase_deg=20).check(loop, [0.0])
+    sag = mass * 9.81 * com * math.cos(0.3) / (kp - mass * 9.81 * com * math.sin(0.3))  # one Newton step of the equilibrium
+    assert verdict.status == "WATCH" and verdict.line("phase_deg").status == "PASS"
+    assert verdict.line("residual").found == pytest.approx(sag, rel=1e-9)
+    assert sag == pytest.approx(abs(loop.equilibrium().error[0]), rel=0.01)
+
+
+@pytest.mark.parametrize(("kp", "status"), [(0.981 / 1.01e-3, "WATCH"), (0.981 / 0.99e-3, "PASS")])
+def test_the_residual_matters_from_a_thousandth_of_a_radian(kp, status):
+    loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.JointPID(kp, kd=50.0), hold(q=0.0))
+    assert Requirements().check(loop, [0.0]).status == status
+
+
+def test_an_integral_or_an_exact_model_leaves_no_residual():
+    for law in (mfc.laws.JointPID(40.0, 5.0, 5.0), mfc.laws.ComputedTorque(40.0, kd=10.0)):
+        assert Requirements().check(mfc.ClosedLoop(mfc.robots.single_joint(), law, hold()), [0.0]).passed
+
+
+def test_a_moving_reference_is_said_to_be_judged_in_frozen_time():
+    ref = mfc.trajectories.Sinusoid([0.3], [0.1], 2.0)
+    loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.ComputedTorque(40.0, kd=10.0), ref)
+    assert any("frozen-time" in note for note in Requirements().check(loop, [0.0, 0.1]).notes)
+    assert not Requirements().check(second_order(), [0.0]).notes
+
+
+@pytest.mark.parametrize(
+    ("field", "bad"),
+    [
+        ("phase_deg", -1.0),
+        ("phase_deg", 181.0),
+        ("delay", math.nan),
+        ("gain_increase_db", math.inf),
+        ("sensitivity_peak", 0.5),
+        ("damping_ratio", 1.1),
+        ("overshoot", "0.1"),
+    ],
+)
+def test_values_that_no_figure_can_have_are_refused_by_name(field, bad):
+    with pytest.raises(BadArgument) as why:
+        Requirements(**{field: bad})
+    assert why.value.argument == field
+
+
+def test_unknown_names_are_refused_with_the_nearest():
+    with pytest.raises(UnknownName, match="phase_deg"):
+        Requirements.from_mapping({"phase_degr": 45})
+    with pytest.raises(TypeError):
+        Requirements(phase=45)
+    assert Requirements.from_mapping({"phase_deg": 45}) == Requirements(phase_deg=45.0)
+
+
+def test_bad_loops_times_and_points_are_refused():
+    with pytest.raises(BadArgument, match="loop"):
+        Requirements().check(3, [0.0])
+    with pytest.raises(BadArgument, match="times"):
+        Requirements().check(velocity_p(), [1.0, 0.0])
+    for req in (Requirements(phase_deg=1), Requirements()):
+        with pytest.raises(UnknownPoint):
+            req.check(velocity_p(), [0.0], at="force")
+    with pytest.raises(BadArgument, match="requirements"):
+        Requirements.from_mapping(45)
+
+
+def test_the_table_has_failures_first_and_every_number():
+    verdict = Requirements(phase_deg=95, delay=0.1).check(velocity_p(), [0.0])
+    text = str(verdict)
+    assert text.startswith("FAIL") and text.index("phase margin") < text.index("delay margin")
+    assert "90 deg" in text and "≥ 95 deg" in text and "joint, t = 0 s" in text
+    assert isinstance(verdict.lines[0], Line)
+
+
+def test_a_notebook_shows_the_table_with_words_and_escaped_names():
+    page = Requirements(phase_deg=95).check(velocity_p(), [0.0])._repr_html_()
+    assert page.startswith("<table>") and "✗ FAIL" in page and "✓ PASS" in page and "≥ 95 deg" in page and "<script" not in page

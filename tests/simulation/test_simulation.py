@@ -1,0 +1,264 @@
+"""The nonlinear loop: conserved energy, starts, disturbances, contact events in closed form, divergence, bad input."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import cumulative_trapezoid
+
+from mfc_analysis import laws as L, robots
+from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.errors import BadArgument, NearPi
+from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.se3 import exp6, inverse, log6
+from mfc_analysis.simulation.simulation import METHODS
+from mfc_analysis.trajectories import Hold, Sinusoid, ToolHold
+from tests.conftest import LAWS, Case, arm, loop_of, moving, named, plant, regular_pose
+
+NOTHING = L.JointPID(0.0)  # the arm alone
+JOINT = robots.single_joint()
+
+
+@pytest.mark.parametrize("name", ["planar_2r", "ur5", "kinova"])
+def test_an_arm_left_to_itself_keeps_its_energy(name: str) -> None:
+    robot, q = arm(name).with_friction(viscous=0.0), regular_pose(name)
+    sim = ClosedLoop(robot, NOTHING, Hold(q)).simulate(np.linspace(0, 0.6, 601), v=0.3 * np.ones(robot.n), rtol=1e-9, atol=1e-11)
+    kinetic = 0.5 * np.einsum("ti,tij,tj->t", sim.v, robot.mass(sim.q), sim.v)
+    work = cumulative_trapezoid(np.sum(robot.gravity(sim.q) * sim.v, axis=1), sim.t, initial=0)
+    assert_allclose(kinetic + work, kinetic[0], atol=1e-4 * kinetic.max())  # the trapezoids of 1 ms
+    assert np.ptp(kinetic) > 0.1
+
+
+def test_friction_takes_energy_as_it_should() -> None:
+    robot = robots.slider(2.0, 0.8)
+    sim = ClosedLoop(robot, L.OpenLoopForce(np.zeros(6)), Hold([0.0])).simulate(np.linspace(0, 3, 7), v=[1.5], rtol=1e-9)
+    assert_allclose(sim.v[:, 0], 1.5 * np.exp(-0.4 * sim.t), rtol=1e-6)
+    dry = robots.slider(2.0).with_friction(viscous=0.0, coulomb=0.5, coulomb_speed=1e-3)
+    sim = ClosedLoop(dry, L.OpenLoopForce(np.zeros(6)), Hold([0.0])).simulate(np.linspace(0, 3, 7), v=[1.5], rtol=1e-9)
+    assert_allclose(sim.v[:, 0], 1.5 - 0.25 * sim.t, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_all_solvers_find_the_same_motion(method: str) -> None:
+    loop = loop_of(named("9.10 standard")[0], "planar_2r")
+    sim = loop.simulate(np.linspace(0, 0.5, 6), 0.1, rtol=1e-7, atol=1e-9, method=method)
+    best = loop.simulate(np.linspace(0, 0.5, 6), 0.1, rtol=1e-11, atol=1e-13, method="DOP853")
+    assert_allclose(sim.q, best.q, atol=1e-6)
+
+
+@pytest.mark.parametrize("case", [c for c in LAWS if c.name != "9.9 printed"], ids=str)
+def test_every_law_runs_on_every_kind_of_arm_and_its_signals_belong_together(case: Case) -> None:
+    name = "ur5" if case.tool else "planar_2r"
+    loop = loop_of(case, name, contact=case.law(6).plant == "torque")
+    sim = loop.simulate(np.linspace(0, 0.05, 5), 0.01)
+    assert not sim.diverged and sim.end == 0.05
+    n, e = arm(name).n, 6 if case.tool else arm(name).n
+    assert sim.q.shape == sim.v.shape == sim.tau.shape == sim.command.shape == (5, n) and sim.error.shape == (5, e)
+    assert sim.twist.shape == sim.force.shape == (5, 6) and sim.t.shape == (5,) and sim.x.shape == (5, loop.equations.nx)
+    assert_allclose(sim.twist, np.einsum("tij,tj->ti", arm(name).jacobian(sim.q), sim.v), atol=1e-9)
+    ref = loop.ref(sim.t)
+    want = log6(inverse(arm(name).pose(sim.q)) @ arm(name).pose(ref.q)) if case.tool else ref.q - sim.q
+    if case.name != "9.5 printed":
+        assert_allclose(sim.error, want, atol=1e-9)
+    assert bool(np.any(sim.force)) == bool(loop.equations.surfaces)
+
+
+# --- where a run starts ------------------------------------------------------------------------------------------------------
+
+
+def test_a_duration_starts_at_zero_and_an_array_at_its_first_time() -> None:
+    loop = ClosedLoop(JOINT, L.JointPID(30.0, kd=5.0), Sinusoid([0.1], 0.4, 2.0))
+    sim = loop.simulate(0.5)
+    assert sim.t.size == 501 and sim.t[0] == 0.0 and sim.end == 0.5
+    late = loop.simulate([1.0, 1.2, 1.5])
+    assert_allclose(late.t, [1.0, 1.2, 1.5])
+    assert_allclose(late.q[0], loop.ref(1.0).q)
+    assert_allclose(late.v[0], loop.ref(1.0).v)
+    assert loop.simulate([0.3]).t.tolist() == [0.3]
+
+
+@pytest.mark.parametrize("error", [0.1, [0.1, -0.2]])
+def test_an_initial_error_is_that_of_the_joints(error: object) -> None:
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"))
+    sim = loop.simulate(0.1, error)
+    assert_allclose(sim.error[0], np.broadcast_to(error, 2), atol=1e-12)
+    assert_allclose(sim.v[0], loop.ref(0.0).v)
+
+
+def test_an_initial_error_of_a_tool_law_is_its_pose_error() -> None:
+    q = regular_pose("ur5")
+    loop = ClosedLoop(arm("ur5"), L.TaskComputedTorque(90.0, kd=18.0), ToolHold(arm("ur5").pose(q)), q_start=q)
+    X_e = np.array([0.02, -0.01, 0.03, 0.2, -0.1, 0.3])
+    sim = loop.simulate([0.0, 0.01], X_e)
+    assert_allclose(sim.error[0], X_e, atol=1e-9)
+    assert_allclose(arm("ur5").pose(sim.q[0]) @ exp6(X_e), arm("ur5").pose(q), atol=1e-9)
+
+
+def test_a_start_can_be_given_state_by_state() -> None:
+    hardware = Hardware(torque_lag=0.02, velocity_filter=0.01)
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"), hardware=hardware)
+    sim = loop.simulate([0.0, 0.1], q=[0.3, 0.4], v=[0.5, -0.6], integral=[1.0, 2.0], actuator=[7.0, -8.0])
+    assert_allclose(sim.x[0], [0.3, 0.4, 0.5, -0.6, 1.0, 2.0, 0.5, -0.6, 7.0, -8.0])
+    assert_allclose(sim.tau[0], [7.0, -8.0])
+    default = loop.simulate([0.0, 0.1], q=[0.3, 0.4])
+    assert_allclose(default.tau[0], default.command[0])  # the torque commanded at the start
+    assert_allclose(default.x[0, 4:6], 0.0)
+    trimmed = loop.simulate([0.0, 0.1], integral="trimmed")
+    assert_allclose(trimmed.x[0, :6], loop.linearize([0.0]).point.x[0, :6])
+    whole = loop.simulate([0.0, 0.1], x=sim.x[0])
+    assert_allclose(whole.q, sim.q)
+    force = ClosedLoop(robots.slider(), L.ForcePI([0, 0, 5.0, 0, 0, 0], 1.0, 2.0), Hold([0.0]))
+    assert_allclose(force.simulate([0.0, 0.1], force_integral=3.0).x[0, 2:], 3.0)
+
+
+def test_a_disturbance_is_a_torque_at_the_joints_constant_or_in_time() -> None:
+    robot = robots.slider(2.0)
+    loop = ClosedLoop(robot, L.OpenLoopForce(np.zeros(6)), Hold([0.0]))
+    t = np.linspace(0, 2, 9)
+    assert_allclose(loop.simulate(t, disturbance=3.0).v[:, 0], 1.5 * t, atol=1e-8)
+    wave = loop.simulate(t, disturbance=lambda t: [2.0 * np.cos(t)], rtol=1e-9)
+    assert_allclose(wave.v[:, 0], np.sin(t), atol=1e-7)
+
+
+def test_two_runs_are_the_same_to_the_last_bit() -> None:
+    loop = loop_of(named("9.24 dynamic standard")[0], "ur5", contact=True)
+    one, two = (loop.simulate(0.02, 0.01) for _ in range(2))
+    assert np.array_equal(one.x, two.x) and np.array_equal(one.tau, two.tau)
+
+
+def test_the_state_between_the_points_is_the_solvers() -> None:
+    loop = ClosedLoop(JOINT, L.VelocityP(3.0), Hold([0.0]))
+    sim = loop.simulate([0.0, 1.0], 1.0, rtol=1e-9, atol=1e-12)
+    assert_allclose(sim.state([0.25, 0.7])[:, 0], -np.exp(-3.0 * np.array([0.25, 0.7])), atol=1e-7)
+    for outside in (-0.1, 1.1):
+        with pytest.raises(BadArgument, match="within the run"):
+            sim.state(outside)
+
+
+# --- contact -----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_mass_thrown_at_a_wall_touches_bounces_and_lifts_at_the_times_of_the_closed_form() -> None:
+    m, k = 2.0, 5000.0
+    wall = Environment(k, pose=np.eye(4), axes="z", one_sided=True)
+    loop = ClosedLoop(robots.slider(m), L.OpenLoopForce(np.zeros(6)), Hold([-0.1]), environment=wall)
+    sim = loop.simulate(np.linspace(0, 0.4, 401), v=[1.0], rtol=1e-9, atol=1e-12)
+    touch, lift = 0.1, 0.1 + np.pi * np.sqrt(m / k)
+    assert [(e.kind, e.surface, e.axis) for e in sim.events] == [("touch", 0, "z"), ("lift", 0, "z")]
+    assert_allclose([e.time for e in sim.events], [touch, lift], atol=1e-5)
+    assert_allclose(sim.v[-1], -1.0, atol=1e-5)
+    inside = (sim.t > touch) & (sim.t < lift)
+    assert_allclose(sim.force[inside, 2], np.sqrt(k * m) * np.sin(np.sqrt(k / m) * (sim.t[inside] - touch)), atol=1e-2)
+    assert sim.force.min() >= 0 and not sim.force[~inside, 2][1:].any()
+
+
+def test_a_two_sided_wall_pulls_back_instead() -> None:
+    m, k = 2.0, 5000.0
+    loop = ClosedLoop(robots.slider(m), L.OpenLoopForce(np.zeros(6)), Hold([0.0]), environment=Environment(k, pose=np.eye(4), axes="z"))
+    sim = loop.simulate(np.linspace(0, 0.4, 41), v=[1.0], rtol=1e-9, atol=1e-12)
+    w = np.sqrt(k / m)
+    assert_allclose(sim.q[:, 0], np.sin(w * sim.t) / w, atol=1e-6)
+    assert sim.events == () and sim.force.min() < -10
+
+
+def test_a_force_loop_that_loses_contact_comes_back() -> None:
+    wall = Environment(3000.0, 5.0, pose=np.eye(4), axes="z", one_sided=True)
+    law = L.DampedForcePI([0, 0, 10.0, 0, 0, 0], 1.0, [0, 0, 5.0, 0, 0, 0], 40.0)
+    loop = ClosedLoop(robots.slider(1.0), law, Hold([-0.02]), environment=wall)
+    sim = loop.simulate(1.5)
+    assert sim.events[0].kind == "touch"
+    kinds = [event.kind for event in sim.events]
+    assert all(a != b for a, b in pairwise(kinds))  # touch and lift take turns
+    assert_allclose(sim.force[-1, 2], 10.0, atol=0.05)
+
+
+# --- divergence --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hardware", [None, Hardware(delay=0.05), Hardware(sample_time=0.05)], ids=["ideal", "delay", "sampled"])
+def test_a_run_that_diverges_stops_keeps_what_it_has_and_says_when(hardware: Hardware | None) -> None:
+    loop = ClosedLoop(robots.slider(1.0), L.JointPID(-50.0), Hold([0.0]), hardware=hardware)
+    sim = loop.simulate(10.0, 0.1)
+    assert sim.diverged and sim.outcome.name == "DIVERGED"
+    assert 0.5 < sim.end < 10.0 and f"at t = {sim.end:.4g} s" in sim.message
+    assert np.isfinite(sim.x).all() and sim.t.size > 20 and np.abs(sim.v).max() <= 1.001e4
+    if hardware is None:  # v = 0.1 sqrt(50) sinh(sqrt(50) t) reaches 1e4
+        assert_allclose(sim.end, np.arcsinh(1e4 / (0.1 * np.sqrt(50))) / np.sqrt(50), atol=1e-3)
+    assert sim.message in str(sim)
+
+
+def test_a_run_that_ends_says_so() -> None:
+    sim = ClosedLoop(JOINT, L.VelocityP(3.0), Hold([0.0])).simulate(1.0)
+    assert not sim.diverged and sim.outcome.name == "FINISHED" and "end" in sim.message
+
+
+def test_an_impossible_start_is_an_error_not_an_outcome() -> None:
+    q = regular_pose("ur5")
+    loop = ClosedLoop(arm("ur5"), L.TaskVelocity(3.0), ToolHold(arm("ur5").pose(q)), q_start=q)
+    with pytest.raises(NearPi):
+        loop.simulate(1.0, q=q + (np.pi - 1e-5) * np.eye(6)[5])
+
+
+@pytest.mark.parametrize(("given", "argument"), [
+    ({"times": -1.0}, "times"), ({"times": 0.0}, "times"), ({"times": np.nan}, "times"), ({"times": [0.0, 0.0]}, "times"), ({"times": []}, "times"),
+    ({"times": "long"}, "times"), ({"times": [1.0, 0.5]}, "times"), ({"initial_error": [1.0, 2.0, 3.0]}, "initial_error"),
+    ({"initial_error": np.nan}, "initial_error"), ({"initial_error": np.ones((2, 2))}, "initial_error"),
+    ({"q": [1.0]}, "q"), ({"v": [np.inf, 0]}, "v"),
+    ({"integral": [1.0, 2.0, 3.0]}, "integral"), ({"integral": "full"}, "integral"), ({"actuator": [1.0, 2.0]}, "actuator"), ({"x": [1.0]}, "x"),
+    ({"disturbance": [1.0, 2.0, 3.0]}, "disturbance"), ({"disturbance": np.nan}, "disturbance"),
+    ({"disturbance": lambda t: [1.0, 2.0, 3.0]}, "disturbance"),
+    ({"disturbance": lambda t: np.nan}, "disturbance"), ({"rtol": 0.0}, "rtol"), ({"atol": 1e-300}, "atol"), ({"method": "Euler"}, "method"),
+])  # fmt: skip
+def test_what_a_run_cannot_take_is_refused_by_name(given: dict, argument: str) -> None:
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"))
+    with pytest.raises(BadArgument) as info:
+        loop.simulate(**{"times": 0.1, **given})
+    assert info.value.argument == argument
+
+
+@pytest.mark.parametrize(("given", "argument"), [
+    ({"integral": 1.0}, "integral"), ({"integral": np.nan}, "integral"), ({"integral": "full"}, "integral"),
+    ({"force_integral": 1.0}, "force_integral"), ({"force_integral": np.nan}, "force_integral"),
+])  # fmt: skip
+def test_an_integral_that_the_law_does_not_have_starts_at_nothing_but_zero(given: dict, argument: str) -> None:
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, None, 50.0), moving("planar_2r"))
+    with pytest.raises(BadArgument) as info:
+        loop.simulate(0.1, **given)
+    assert info.value.argument == argument
+    assert loop.simulate([0.0, 0.1], integral="trimmed", force_integral=0.0).x.shape == loop.simulate([0.0, 0.1], integral=np.zeros(2)).x.shape
+
+
+def test_a_disturbance_that_stops_being_a_number_ends_the_run_in_words() -> None:
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"))
+    sim = loop.simulate(0.5, disturbance=lambda t: np.nan if t > 0.2 else 0.0)
+    assert sim.diverged and sim.outcome.name == "REFUSED" and "disturbance: got nan" in sim.message
+    assert_allclose(sim.end, 0.2, atol=1e-6)
+    assert np.isfinite(sim.x).all() and sim.t.size > 100
+
+
+def test_rates_that_no_solver_ends_with_are_refused_at_the_start_and_end_a_run_later() -> None:
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"))
+    with pytest.raises(BadArgument, match="rates"):
+        loop.simulate(0.5, disturbance=1e300)
+    sim = loop.simulate(0.5, disturbance=lambda t: 1e300 if t > 0.2 else 0.0)
+    assert sim.diverged and "rates" in sim.message
+    assert_allclose(sim.end, 0.2, atol=1e-6)
+
+
+def test_a_pose_error_is_less_than_half_a_turn() -> None:
+    q = regular_pose("ur5")
+    loop = ClosedLoop(arm("ur5"), L.TaskVelocity(3.0), ToolHold(arm("ur5").pose(q)), q_start=q)
+    for error in ([0, 0, 0, 0, 0, 3.2], 1e300):
+        with pytest.raises(BadArgument) as info:
+            loop.simulate(1.0, error)
+        assert info.value.argument == "initial_error"
+
+
+def test_a_velocity_law_has_no_velocity_to_start_with() -> None:
+    with pytest.raises(BadArgument) as info:
+        ClosedLoop(JOINT, L.VelocityP(1.0), Hold([0.0])).simulate(1.0, v=[1.0])
+    assert info.value.argument == "v"
