@@ -17,9 +17,7 @@ Warnings: ``MfcWarning`` (a ``UserWarning``) for what is suspicious but still ha
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from typing import Any
 
@@ -27,7 +25,16 @@ MOST_NAMES = 40  #: names that a message lists; a whole humanoid has hundreds of
 
 
 class MfcError(Exception):
-    """Base of all errors of this package."""
+    """Base of all errors of this package. They pickle, so that a worker's error reaches the process that asked."""
+
+    def __reduce__(self) -> Any:
+        return _restored, (type(self), self.args, vars(self))
+
+
+def _restored(kind: type[MfcError], args: tuple[Any, ...], data: dict[str, Any]) -> MfcError:
+    error = kind.__new__(kind, *args)
+    vars(error).update(data)
+    return error
 
 
 class MfcWarning(UserWarning):
@@ -76,13 +83,18 @@ class BadRobot(MfcError, ValueError):
 class NearSingular(MfcError, ValueError):
     """A Jacobian too close to singular to be inverted."""
 
-    def __init__(self, frame: str, sigma_min: float, condition: float, time: float | None = None) -> None:
+    def __init__(self, frame: str, sigma_min: float, condition: float, time: float | None = None, index: int = 0) -> None:
         self.frame, self.sigma_min, self.condition, self.time = frame, sigma_min, condition, time
+        self.index = index  #: which of the points that were evaluated, counted through
         when = "" if time is None else f" at t = {time:.4g} s"
         super().__init__(
             f"the Jacobian of frame {frame!r} is nearly singular{when}: smallest singular value {sigma_min:.3g}, condition number {condition:.3g}; "
             "move the path away from the singularity, or give the law damping="
         )
+
+    def at(self, time: float | None) -> NearSingular:
+        """The same with its time [s], where it has none yet."""
+        return NearSingular(self.frame, self.sigma_min, self.condition, time if self.time is None else self.time, self.index)
 
 
 class NotConverged(MfcError, ValueError):
@@ -92,28 +104,17 @@ class NotConverged(MfcError, ValueError):
 class NearPi(MfcError, ValueError):
     """A pose error whose rotation angle is within 1e-3 rad of pi, where its logarithm jumps."""
 
-    def __init__(self, angle: float, time: float | None = None) -> None:
+    def __init__(self, angle: float, time: float | None = None, index: int = 0) -> None:
         self.angle, self.time = angle, time
+        self.index = index  #: which of the points that were evaluated, counted through
         when = "" if time is None else f" at t = {time:.4g} s"
         super().__init__(
             f"pose error{when}: its rotation angle is {angle:.6f} rad, within 1e-3 of pi, where the logarithm jumps; start nearer to the reference"
         )
 
-
-@contextmanager
-def one_warning() -> Iterator[None]:
-    """Of the warnings that a run repeats at each step (a Jacobian close to singular) only the first reaches the user."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", MfcWarning)
-        try:
-            yield
-        finally:
-            kept, seen = list(caught), False
-    for one in kept:
-        ours = issubclass(one.category, MfcWarning)
-        if not (ours and seen):
-            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
-        seen = seen or ours
+    def at(self, time: float | None) -> NearPi:
+        """The same with its time [s], where it has none yet."""
+        return NearPi(self.angle, time if self.time is None else self.time, self.index)
 
 
 def _short(value: Any) -> str:

@@ -98,7 +98,7 @@ class ClosedLoop:
         if law.space == "joint" and space == "tool":
             takes = f"a joint-space reference for {name}; mfc.trajectories.from_tool_path turns a tool path into one (eq 9.14)"
             raise BadArgument("ref", type(self.ref).__name__, takes)
-        if law.equation in ("9.21", "9.22", "9.23") and not self.ref.is_hold:
+        if not law.follows_motion and not self.ref.is_hold:
             raise BadArgument("ref", type(self.ref).__name__, f"a Hold: {name} has no motion reference")
         if space == "tool" and self.q_start is None:
             raise BadArgument("q_start", None, f"a joint position of shape ({self.robot.n},): a tool-space reference is followed from there")

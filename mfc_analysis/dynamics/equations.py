@@ -25,27 +25,38 @@ States, in this order: q, v (torque plants), theta, omega (elastic joints), the 
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.dynamics.environment import Contact, Environment, contact
-from mfc_analysis.dynamics.hardware import Hardware
-from mfc_analysis.errors import NearPi, Unsupported
+from mfc_analysis.dynamics.hardware import Hardware, JointHardware
+from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
 from mfc_analysis.laws.law import TWIST, WRENCH, Action, JointReference, Law, Measured, Slot, ToolReference
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, concatenate, elementwise, times, value
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.robots.robot import Robot
-
-Array = NDArray[np.float64]
+from mfc_analysis.robots.singularity import WARN_CONDITION
 
 #: slots that belong to the plant; the others are the controller's
 PLANT_SLOTS = ("q", "v", "theta", "omega", "lag")
+NO_WRENCH = np.zeros(6)  #: F_d under a law that asks for no force
+
+
+@contextmanager
+def timed(t: float | Array) -> Iterator[None]:
+    """What is refused at one of the points evaluated inside is raised with its time: t [s], one for each point or one for all."""
+    try:
+        yield
+    except (NearSingular, NearPi) as why:
+        times = np.ravel(t)
+        raise why.at(float(times[why.index]) if why.index < times.size else None) from None
 
 
 class Wires:
@@ -104,6 +115,7 @@ class Equations:
     q_start: Array | None = None  #: (n,) where a tool reference is followed from
     plant: Primitives = field(init=False)
     controller: Primitives = field(init=False)
+    joints: JointHardware = field(init=False)
     parts: Mapping[str, Part] = field(init=False)
     state_names: tuple[str, ...] = field(init=False)
 
@@ -111,6 +123,7 @@ class Equations:
         set_ = object.__setattr__
         set_(self, "plant", Primitives(self.robot))
         set_(self, "controller", Primitives(self.model) if self.model is not self.robot else self.plant)
+        set_(self, "joints", self.hardware.for_joints(self.n))
         parts, names, start = {}, [], 0
         for slot in self._slots():
             parts[slot.name] = Part(slice(start, start + len(slot.channels)), slot)
@@ -118,9 +131,6 @@ class Equations:
             start += len(slot.channels)
         set_(self, "parts", parts)
         set_(self, "state_names", tuple(names))
-        for name in ("torque_lag", "velocity_lag", "velocity_filter", "joint_stiffness", "joint_damping", "motor_inertia", "torque_limit"):
-            given = getattr(self.hardware, name)
-            set_(self, f"_{name}", None if given is None else self.hardware.per_joint(name, self.n))
 
     # --- the layout ----------------------------------------------------------------------------------------------
 
@@ -142,12 +152,23 @@ class Equations:
     @property
     def lag(self) -> Array | None:
         """(n,) time constant of the actuators, or None."""
-        return self._torque_lag if self.actuator == "torque" else self._velocity_lag  # type: ignore[attr-defined, no-any-return]
+        return self.joints.torque_lag if self.actuator == "torque" else self.joints.velocity_lag
 
     @property
-    def algebraic(self) -> bool:
-        """True for 9.9 as printed: the law needs q'' and the torque makes it."""
-        return self.law.equation == "9.9" and getattr(self.law, "form", "standard") == "printed"
+    def sample_time(self) -> float:
+        """[s] of the law; 0 in continuous time."""
+        return float(self.hardware.sample_time or 0.0)
+
+    @property
+    def delays(self) -> dict[str, float]:
+        """[s] dead time of each wire that has one."""
+        late = {self.actuator: self.hardware.delay, "force": self.hardware.force_delay}
+        return {name: float(delay) for name, delay in late.items() if delay}
+
+    @property
+    def delayed(self) -> bool:
+        """True where the loop has dead time and no sample time: infinitely many roots."""
+        return bool(self.delays) and not self.sample_time
 
     def _slots(self) -> list[Slot]:
         joints, hardware = self.robot.joint_names, self.hardware
@@ -155,14 +176,14 @@ class Equations:
         out = [Slot("q", joints, False)]
         if torque:
             out.append(Slot("v", joints, False))
-        if torque and hardware.elastic:
+        if torque and self.joints.springs is not None:
             out += [Slot("theta", joints, False), Slot("omega", joints, False)]
         out += self.law.slots(joints)
-        if torque and hardware.velocity_filter is not None:
+        if torque and self.joints.velocity_filter is not None:
             out.append(Slot("v_filter", joints, False))
         if self.law.senses_force and hardware.force_filter is not None:
             out.append(Slot("F_filter", WRENCH, False))
-        if (hardware.torque_lag if torque else hardware.velocity_lag) is not None:
+        if self.lag is not None:
             out.append(Slot("lag", joints, False))
         return out
 
@@ -193,7 +214,8 @@ class Equations:
         """The state by slots."""
         if isinstance(x, Dual):
             return {name: x[where] for name, (where, _) in self.parts.items()}
-        return {name: x[..., where] for name, (where, _) in self.parts.items()}  # type: ignore[index]
+        plain = value(x)
+        return {name: plain[..., where] for name, (where, _) in self.parts.items()}
 
     def join(self, slots: Mapping[str, Vector]) -> Array | Dual:
         """The slots as one state."""
@@ -201,18 +223,21 @@ class Equations:
 
     # --- the reference -------------------------------------------------------------------------------------------
 
-    def reference(self, t: float | Array, shift: Vector | None = None) -> JointReference | ToolReference:
+    def reference(self, t: float | Array, inputs: Inputs | None = None) -> JointReference | ToolReference:
         """The reference at t, for joint or tool laws; a joint reference under a tool law is that of its tool."""
+        shift, F_d = (None, None) if inputs is None else (inputs.reference, inputs.F_d)
+        if F_d is None:
+            F_d = NO_WRENCH if self.law.desired_wrench is None else self.law.desired_wrench
         point = self.reference_source(t)
         if self.reference_source.space == "tool":
             pose = Pose.of(np.asarray(point.X), shift.tangent if isinstance(shift, Dual) else None)
-            return ToolReference(pose, point.V, point.dV)
+            return ToolReference(pose, point.V, point.dV, F_d)
         if self.law.space == "joint":
-            return JointReference(point.q if shift is None else point.q + shift, point.v, point.a)
+            return JointReference(point.q if shift is None else point.q + shift, point.v, point.a, F_d)
         q, v, a = (np.asarray(x) for x in point)
         X = self.plant.pose(q)
         V, dV = self.plant.jacobian(q, v), self.plant.jacobian(q, a) + self.plant.jacobian_dot(q, v)
-        return ToolReference(Pose(X.R, X.p, shift.tangent if isinstance(shift, Dual) else None), V, dV)
+        return ToolReference(Pose(X.R, X.p, shift.tangent if isinstance(shift, Dual) else None), V, dV, F_d)
 
     # --- the loop ------------------------------------------------------------------------------------------------
 
@@ -221,19 +246,15 @@ class Equations:
 
         Raises NearSingular and NearPi with the time where it happens.
         """
-        wires, inputs = wires or Wires(), inputs or Inputs()
-        self.plant.times = self.controller.times = np.asarray(t)
-        try:
-            return self._flow(t, self.split(x), wires, inputs, lose_contact)
-        except NearPi as why:
-            raise NearPi(why.angle, float(t) if np.ndim(t) == 0 else None) from None
+        with timed(t):
+            return self._flow(t, self.split(x), wires or Wires(), inputs or Inputs(), lose_contact)
 
     def _flow(self, t: float | Array, s: dict[str, Vector], wires: Wires, inputs: Inputs, lose_contact: bool) -> Flow:
         touched = self.touch(s, lose_contact=lose_contact)
         action, rates = self.control(t, s, touched.wrench, wires, inputs)
         disturbance = 0.0 if inputs.disturbance is None else inputs.disturbance
         command = action.command
-        if self.algebraic:
+        if self.law.needs_acceleration:
             command = self._with_measured_acceleration(t, s, command, touched.wrench, disturbance, wires)
         else:
             command = wires(self.actuator, command)
@@ -248,48 +269,41 @@ class Equations:
 
     def control(self, t: float | Array, s: Mapping[str, Vector], F: Vector, wires: Wires, inputs: Inputs) -> tuple[Action, dict[str, Vector]]:
         """Sensors, filters and the law: its action, and the rates of the controller's states."""
-        ref = self.reference(t, inputs.reference)
+        ref = self.reference(t, inputs)
         rates: dict[str, Vector] = {}
-        torque = self.actuator == "torque"
-        motor = self.hardware.elastic and self.hardware.feedback == "motor"
-        q = wires("position", s["theta"] if torque and motor else s["q"])
+        joints = self.joints
+        motor = joints.springs is not None and joints.springs.motor_encoder
+        q = wires("position", s["theta"] if motor else s["q"])
         v: Vector = np.zeros(self.n)
-        if torque:
+        if self.actuator == "torque":
             v = wires("rate", s["omega"] if motor else s["v"])
-            if "v_filter" in s:
-                rates["v_filter"] = (v - s["v_filter"]) * (1 / self._velocity_filter)  # type: ignore[attr-defined]
+            if joints.velocity_filter is not None:
+                rates["v_filter"] = (v - s["v_filter"]) * (1 / joints.velocity_filter)
                 v = s["v_filter"]
-        measured: Vector | None = None
+        measured: Vector = np.zeros(6)
         if self.law.senses_force:
             measured = wires("force", F)
-            if "F_filter" in s:
-                assert self.hardware.force_filter is not None
+            if self.hardware.force_filter is not None:
                 rates["F_filter"] = (measured - s["F_filter"]) * (1 / float(self.hardware.force_filter))
                 measured = s["F_filter"]
-        law = self.law
-        if inputs.F_d is not None:
-            law = copy.copy(law)
-            object.__setattr__(law, "F_d", inputs.F_d)
-        action = law.act(self.controller, Measured(q, v, measured, s), ref, wires)
+        action = self.law.act(self.controller, Measured(q, v, measured, s), ref, wires)
         rates.update(action.rates)
         return action, rates
 
     def move(self, s: Mapping[str, Vector], command: Vector, F: Vector, disturbance: Vector) -> dict[str, Vector]:
         """The plant: rates of its states under the commanded torque (velocity) that arrives at the joints."""
         rates: dict[str, Vector] = {}
-        drive = self.limited(command)
-        if "lag" in s:
-            rates["lag"] = (drive - s["lag"]) * (1 / self.lag)  # type: ignore[operator]
+        drive, springs = self.limited(command), self.joints.springs
+        if self.lag is not None:
+            rates["lag"] = (drive - s["lag"]) * (1 / self.lag)
             drive = s["lag"]
         if self.actuator == "velocity":
             rates["q"] = drive + disturbance
             return rates
-        if "theta" in s:
-            spring = (s["theta"] - s["q"]) * self._joint_stiffness  # type: ignore[attr-defined]
-            if self._joint_damping is not None:  # type: ignore[attr-defined]
-                spring = spring + (s["omega"] - s["v"]) * self._joint_damping  # type: ignore[attr-defined]
+        if springs is not None:
+            spring = (s["theta"] - s["q"]) * springs.stiffness + (s["omega"] - s["v"]) * springs.damping
             rates["theta"] = s["omega"]
-            rates["omega"] = (drive - spring) * (1 / self._motor_inertia)  # type: ignore[attr-defined]
+            rates["omega"] = (drive - spring) * (1 / springs.motor_inertia)
             drive = spring
         rates["q"] = s["v"]
         rates["v"] = self.plant.aba(s["q"], s["v"], self._net(s, drive, F, disturbance))
@@ -305,7 +319,8 @@ class Equations:
         return net
 
     def limited(self, command: Vector) -> Vector:
-        limit = self._torque_limit  # type: ignore[attr-defined]
+        """The command as far as the actuators can give it."""
+        limit = self.joints.torque_limit
         if limit is None or self.actuator == "velocity":
             return command
         return elementwise(command, lambda u: np.clip(u, -limit, limit), lambda u: np.where(np.abs(u) <= limit, 1.0, 0.0))
@@ -313,21 +328,19 @@ class Equations:
     def _with_measured_acceleration(
         self, t: float | Array, s: dict[str, Vector], command: Vector, F: Vector, disturbance: Vector, wires: Wires
     ) -> Vector:
-        """9.9 as printed: tau = command - M^(q_d) q'', with q'' of the plant under the very torque that it makes."""
-        from mfc_analysis.laws.joint_torque import TorqueFeedforward
-
+        """tau = command - E q'', E q'' the law's ``acceleration_torque``, with q'' of the plant under the very torque that it makes."""
         law, ref = self.law, self.reference(t)
-        assert isinstance(law, TorqueFeedforward) and isinstance(ref, JointReference)
+        assert isinstance(ref, JointReference)
         if "lag" in s or wires.cuts("torque"):
             drive = s["lag"] if "lag" in s else wires.inputs["torque"]
             a = self.plant.aba(s["q"], s["v"], self._net(s, drive, F, disturbance))
-            return wires("torque", command - law.error_inertia(self.controller, ref, a))
+            return wires("torque", command - law.acceleration_torque(self.controller, ref, a))
         if isinstance(s["q"], Dual):
-            raise TypeError("9.9 as printed is linearised with its torque wire cut")
+            raise TypeError("a law that needs the acceleration is linearised with its torque wire cut")
         rest = self._net(s, command, F, disturbance) - self.plant.rnea(s["q"], s["v"], np.zeros(self.n))
-        total = self.plant.at(value(s["q"])).M + self.controller.at(value(ref.q)).M
-        a = np.asarray(np.linalg.solve(total, value(rest)[..., None])[..., 0], float)
-        return command - law.error_inertia(self.controller, ref, a)
+        E = np.stack([value(law.acceleration_torque(self.controller, ref, one)) for one in np.eye(self.n)], axis=-1)
+        a = np.asarray(np.linalg.solve(self.plant.at(value(s["q"])).M + E, value(rest)[..., None])[..., 0], float)
+        return command - law.acceleration_torque(self.controller, ref, a)
 
     # --- for plain arrays ----------------------------------------------------------------------------------------
 
@@ -335,6 +348,14 @@ class Equations:
         """x' (..., nx) for plain arrays: what a simulation integrates (no dead time, no sampling)."""
         found = self.flow(t, x, None, None if disturbance is None else Inputs(disturbance=disturbance), lose_contact=lose_contact)
         return value(self.join(found.rates))
+
+
+def warn_near_singular(equations: Equations, times: Array, q: Array) -> None:
+    """Warn where a tool law that inverts J undamped is evaluated near a singularity: at times (m,) [s] and joint positions q (m, n)."""
+    if equations.law.space == "tool" and not equations.law.damping:
+        found = equations.plant.at(q).nearest_singular
+        if found.condition > WARN_CONDITION:
+            warnings.warn(str(found.at(float(times[found.index]))), MfcWarning, stacklevel=3)
 
 
 def refuse_what_does_not_apply(equations: Equations) -> None:
@@ -356,8 +377,8 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
         for field_ in ("force_delay", "force_filter"):
             if getattr(hardware, field_) is not None:
                 raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), f"a law that measures the force (9.22-9.24); {name} doesn't")
-    if equations.algebraic and (hardware.delay is not None or hardware.sample_time is not None or hardware.elastic):
-        takes = "no delay, sample_time or elastic joints for 9.9 as printed: its algebraic loop is solved with q'' at the same instant"
+    if law.needs_acceleration and (hardware.delay is not None or hardware.sample_time is not None or hardware.elastic):
+        takes = f"no delay, sample_time or elastic joints for {name} in this form: its algebraic loop is solved with q'' at the same instant"
         raise Unsupported("hardware", hardware, takes)
 
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
-
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array
 
 MOST_SAMPLES = 2000  #: of dead time in a sampled loop
 
@@ -73,9 +72,45 @@ class Hardware:
         """True if the joints are elastic."""
         return self.joint_stiffness is not None
 
-    def per_joint(self, name: str, n: int) -> Array:
-        """A field as (n,). Raises BadArgument for another shape."""
-        return checks.per_joint(f"hardware.{name}", getattr(self, name), n)
+    def for_joints(self, n: int) -> JointHardware:
+        """The same with an entry for each of n joints. Raises BadArgument where a field has another shape."""
+
+        def each(name: str, given: float | Array | None) -> Array | None:
+            return None if given is None else checks.per_joint(f"hardware.{name}", given, n)
+
+        stiffness, inertia = each("joint_stiffness", self.joint_stiffness), each("motor_inertia", self.motor_inertia)
+        damping = each("joint_damping", self.joint_damping)
+        springs = None
+        if stiffness is not None and inertia is not None:
+            springs = Springs(stiffness, np.zeros(n) if damping is None else damping, inertia, self.feedback == "motor")
+        return JointHardware(
+            each("torque_lag", self.torque_lag),
+            each("velocity_lag", self.velocity_lag),
+            each("velocity_filter", self.velocity_filter),
+            each("torque_limit", self.torque_limit),
+            springs,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """Elastic joints."""
+
+    stiffness: Array  #: (n,) [Nm/rad]
+    damping: Array  #: (n,) [Nm s/rad]
+    motor_inertia: Array  #: (n,) [kg m^2]
+    motor_encoder: bool  #: the encoder sits on the motor, not on the link
+
+
+@dataclass(frozen=True, eq=False)
+class JointHardware:
+    """What stands at each of n joints; None: not there."""
+
+    torque_lag: Array | None  #: (n,) [s]
+    velocity_lag: Array | None  #: (n,) [s]
+    velocity_filter: Array | None  #: (n,) [s]
+    torque_limit: Array | None  #: (n,) [Nm]
+    springs: Springs | None
 
 
 SCALARS = ("delay", "force_delay", "sample_time", "force_filter")  #: the same for all joints

@@ -46,7 +46,7 @@ def _tangent(x: Vector, shape: tuple[int, int], width: int) -> Array:
 
 def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state", *, lose_contact: bool = False) -> Array:
     """A of the closed loop (m, nx, nx), dead time left out."""
-    if equations.algebraic:
+    if equations.law.needs_acceleration:
         return close_wires(open_system(equations, times, x, coordinates))[0]
     nx = equations.nx
     seeded = _seed(x, 0, nx)
@@ -73,14 +73,14 @@ def open_system(
     sizes = equations.wire_sizes()
     references = reference_channels(equations)
     names = [*references, *(f"disturbance_{j}" for j in equations.robot.joint_names)]
-    F_d = getattr(equations.law, "F_d", None)
+    F_d = equations.law.desired_wrench
     if F_d is not None:
         names += [f"F_d_{c}" for c in WRENCH]
     nu, nw = len(names), sum(sizes.values())
     width = nx + nu + nw
     shift = _seed(np.zeros((m, len(references))), nx, width)
     disturbance = _seed(np.zeros((m, n)), nx + len(references), width)
-    force = None if F_d is None else _seed(np.broadcast_to(np.asarray(F_d), (m, 6)), nx + len(references) + n, width)
+    force = None if F_d is None else _seed(np.broadcast_to(F_d, (m, 6)), nx + len(references) + n, width)
     inputs = Inputs(shift, disturbance, force)
     cut: dict[str, Vector] = {}
     wires_at: dict[str, slice] = {}
@@ -106,10 +106,8 @@ def open_system(
         T, C = _changed_open(T, C, change, nx)
         state_names = (*_error_names(equations, change.replaced), *state_names[change.replaced :])
     delay = np.zeros(nw)
-    if equations.hardware.delay is not None:
-        delay[wires_at[equations.actuator]] = float(equations.hardware.delay)
-    if equations.hardware.force_delay is not None:
-        delay[wires_at["force"]] = float(equations.hardware.force_delay)
+    for name, late in equations.delays.items():
+        delay[wires_at[name]] = late
     joints = equations.robot.joint_names
     channels = {"command": equations.law.command_channels(joints), "force": WRENCH}
     return OpenSystem(

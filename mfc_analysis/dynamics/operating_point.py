@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, solve_command_for_slots
+from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, solve_command_for_slots, timed
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.errors import MfcWarning, NotConverged, Unsupported
-from mfc_analysis.laws.joint_torque import InverseDynamics
 from mfc_analysis.maths.dual import Dual, value
 from mfc_analysis.trajectories.inverse_kinematics import follow
 
@@ -46,8 +45,7 @@ def nominal(equations: Equations, times: Array) -> Nominal:
         point = equations.reference_source(times)
         return Nominal(*(np.ascontiguousarray(x) for x in point))
     assert equations.q_start is not None
-    damping = float(getattr(equations.law, "damping", 0.0))
-    found = Nominal(*follow(equations.robot, equations.reference_source, equations.q_start, times, damping=damping))
+    found = Nominal(*follow(equations.robot, equations.reference_source, equations.q_start, times, damping=equations.law.damping))
     limits = equations.robot.limits
     over = np.maximum(found.q - limits.upper, limits.lower - found.q)
     if np.any(over > 1e-9):
@@ -74,8 +72,7 @@ def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPo
 
     Where Ki is singular z is the least-squares solution of smallest norm. Actuator lags are at that torque, filters at what they measure.
     """
-    plant, hardware = equations.plant, equations.hardware
-    plant.times = equations.controller.times = times
+    plant, springs = equations.plant, equations.joints.springs
     q, v, a = nominal.q, nominal.v, nominal.a
     slots: dict[str, Array] = {name: np.zeros((len(times), where.stop - where.start)) for name, (where, _) in equations.parts.items()}
     slots["q"] = q
@@ -87,19 +84,20 @@ def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPo
         if equations.surfaces:
             wanted = wanted + value(plant.jacobian_transpose(q, F))
         encoder = v
-        if "theta" in slots:
-            slots["theta"] = q + wanted / hardware.per_joint("joint_stiffness", equations.n)
+        if springs is not None:
+            slots["theta"] = q + wanted / springs.stiffness
             slots["omega"] = v
-            wanted = wanted + hardware.per_joint("motor_inertia", equations.n) * a
+            wanted = wanted + springs.motor_inertia * a
         if "v_filter" in slots:
             slots["v_filter"] = encoder
         if "F_filter" in slots:
             slots["F_filter"] = F
     if "lag" in slots:
         slots["lag"] = wanted
-    for name in ("z", "outer"):
-        if name in slots:
-            slots[name] = _trim(equations, times, slots, name, wanted)
+    with timed(times):
+        for name, (_, slot) in equations.parts.items():
+            if slot.trimmed.size:
+                slots[name] = _trim(equations, times, slots, name, slot.trimmed, wanted)
     return OperatingPoint(times, value(equations.join(slots)), None)
 
 
@@ -109,8 +107,8 @@ def residual(equations: Equations, times: Array, x: Array, nominal: Nominal) -> 
     Elastic joints: the acceleration that the motors' torque lacks, for joints and motors together, as if the springs were rigid.
     """
     rates = _rates(equations, times, x)
-    if "theta" in equations.parts:
-        B = equations.hardware.per_joint("motor_inertia", equations.n)
+    if equations.joints.springs is not None:
+        B = equations.joints.springs.motor_inertia
         both = equations.plant.at(np.ascontiguousarray(x[:, equations.parts["q"].where])).M + np.diag(B)
         lacking = B * (rates["omega"] - nominal.a)
         return np.asarray(np.linalg.solve(both, lacking[..., None])[..., 0] + rates["v"] - nominal.a)
@@ -127,16 +125,8 @@ def _rates(equations: Equations, times: Array, x: Array) -> dict[str, Array]:
     return {name: value(r) for name, r in equations.move(slots, slots["lag"], value(found.F_tip), 0.0).items()}
 
 
-def _trim(equations: Equations, times: Array, slots: dict[str, Array], name: str, wanted: Array) -> Array:
+def _trim(equations: Equations, times: Array, slots: dict[str, Array], name: str, basis: Array, wanted: Array) -> Array:
     size = slots[name].shape[-1]
-    basis = np.eye(size)
-    if name == "outer":
-        assert isinstance(equations.law, InverseDynamics)
-        A = equations.law.matrices(equations.n)[0]
-        _, sigma, right = np.linalg.svd(A)
-        basis = right[sigma <= 1e-10 * max(1.0, float(sigma.max(initial=0.0)))].T  # states at rest: the outer loop's integrators
-        if basis.shape[1] == 0:
-            return slots[name]
     tangent = np.broadcast_to(basis, (len(times), *basis.shape))
     seeded: dict[str, Any] = {**slots, name: Dual(np.zeros((len(times), size)), tangent)}
     F = value(equations.touch(slots).wrench)

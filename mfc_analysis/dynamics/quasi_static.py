@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires
-from mfc_analysis.dynamics.jacobians import open_system
+from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
 from mfc_analysis.dynamics.operating_point import at_rest, nominal
 from mfc_analysis.errors import Unsupported
 from mfc_analysis.maths import checks
@@ -38,7 +38,8 @@ class QuasiStatic:
         if not self.equations.surfaces or self.x is None:
             raise Unsupported("frequencies", frequencies, "a loop with an environment: without one the tool is held rigidly")
         opened = open_system(self.equations, np.zeros(1), self.x)
-        A, B, C, D = (M[0] for M in close_wires(opened))
+        A = closed_matrix(self.equations, np.zeros(1), self.x)[0]
+        B, C, D = (M[0] for M in close_wires(opened)[1:])
         inputs = [opened.input_names.index(f"F_d_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
         outputs = [opened.output_names.index(f"F_tip_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
         B, C, D = B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)]
@@ -72,7 +73,7 @@ def quasi_static(e: Equations) -> QuasiStatic:
     """
     if e.actuator != "torque":
         raise Unsupported("law", type(e.law).__name__, "a law with torque inputs")
-    F_d = np.asarray(getattr(e.law, "F_d", np.zeros(6)), float)
+    F_d = np.zeros(6) if e.law.desired_wrench is None else e.law.desired_wrench
     if e.surfaces:
         rest = at_rest(e)
         force = np.array(value(e.flow(0.0, rest.x[0]).F_tip))

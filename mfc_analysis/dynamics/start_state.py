@@ -44,11 +44,12 @@ def start_state(
     else:
         _nothing("force_integral", force_integral, f"{type(equations.law).__name__} has no integral of the force error here")
     F = value(e.touch(slots).wrench)
-    if "theta" in slots:
+    springs = e.joints.springs
+    if springs is not None:
         static = value(e.plant.rnea(slots["q"], slots["v"], asked.a[0])) + value(e.plant.jacobian_transpose(slots["q"], F))
-        slots["theta"], slots["omega"] = slots["q"] + static / e.hardware.per_joint("joint_stiffness", n), np.array(slots["v"])
+        slots["theta"], slots["omega"] = slots["q"] + static / springs.stiffness, np.array(slots["v"])
     if "v_filter" in slots:
-        slots["v_filter"] = np.array(slots["omega"] if "omega" in slots and e.hardware.feedback == "motor" else slots["v"])
+        slots["v_filter"] = np.array(slots["omega"] if springs is not None and springs.motor_encoder else slots["v"])
     if "F_filter" in slots:
         slots["F_filter"] = np.array(F)
     if "lag" in slots:

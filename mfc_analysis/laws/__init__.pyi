@@ -9,7 +9,18 @@ from .joint_torque import (
     JointPID as JointPID,
     TorqueFeedforward as TorqueFeedforward,
 )
-from .law import Action as Action, Law as Law, Measured as Measured, Slot as Slot, Tap as Tap
+from .law import (
+    Action as Action,
+    JointLaw as JointLaw,
+    JointReference as JointReference,
+    Law as Law,
+    Measured as Measured,
+    Slot as Slot,
+    Tap as Tap,
+    ToolLaw as ToolLaw,
+    ToolReference as ToolReference,
+    define as define,
+)
 from .task_torque import TaskComputedTorque as TaskComputedTorque
 from .velocity import (
     TaskVelocity as TaskVelocity,

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.laws.gain import Gain
-from mfc_analysis.laws.law import WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
+from mfc_analysis.laws.law import WRENCH, Action, JointLaw, JointReference, Measured, Slot, Tap, define
 from mfc_analysis.maths import checks
-from mfc_analysis.maths.dual import Vector
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.primitives import Primitives
 
+FORCE_INTEGRAL = Slot("z_f", WRENCH, trim=np.zeros((6, 0)))  #: the integral of F_e; an operating point leaves it at 0
 FORCE_UNITS = {"kfp": "-", "kfi": "1/s", "kdamp": "Ns/m", "F_d": "N"}
 
 
-class ForceLaw(Law):
+class ForceLaw(JointLaw):
     """What the force laws share: F_d, force gains of six components, the force integral."""
 
-    equation = "9.21"
+    F_d: ArrayLike
     opens_at: ClassVar[tuple[str, ...]] = ("torque", "position", "force")
     senses_force = True
+    follows_motion = False
     sources = ("Lynch & Park, Modern Robotics, ch. 11.5", "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 9")
     units = FORCE_UNITS
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "F_d", checks.array("F_d", self.F_d, (6,)))
 
     def check(self, n: int) -> None:
         """Raise BadArgument unless the force gains have six components."""
@@ -31,23 +36,16 @@ class ForceLaw(Law):
             gain.check(6, "components of the wrench")
 
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
-        """z_f, the integral of F_e, where kfi is given."""
-        return (Slot("z_f", WRENCH),) if getattr(self, "kfi", None) else ()
+        """z_f, the integral of F_e, where kfi is given; it starts at 0 at an operating point."""
+        return (FORCE_INTEGRAL,) if self.gains().get("kfi") else ()
 
-    def _act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, F_d: Vector, kfp: Gain, kfi: Gain, kdamp: Gain) -> Action:
-        assert isinstance(ref, JointReference)
-        F = F_d
-        rates: dict[str, Vector] = {}
-        if now.F is not None and (kfp or kfi):
-            F_e = F_d - now.F
-            F = F_d + kfp @ F_e + kfi @ now["z_f"]
-            rates = {"z_f": F_e} if kfi else {}
-        if kdamp:
-            F = F - kdamp @ model.jacobian(now.q, now.v)
-        return Action(model.gravity(now.q) + model.jacobian_transpose(now.q, F), rates, ref.q - now.q)
+    @property
+    def desired_wrench(self) -> Array:
+        """(6,) F_d [N, Nm], tool frame."""
+        return np.asarray(self.F_d, float)
 
 
-@dataclass(frozen=True, eq=False)
+@define
 class OpenLoopForce(ForceLaw):
     r"""Open-loop force: equation 9.21, :math:`\tau = \hat g(q) + J^T F_d`.
 
@@ -63,16 +61,12 @@ class OpenLoopForce(ForceLaw):
     senses_force = False
     typst = 'tau = hat(g)(q) + J^top "F"_d'
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "F_d", checks.array("F_d", self.F_d, (6,)))
-
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """tau = g^ + J^T F_d."""
-        none = Gain("kfp", None)
-        return self._act(model, now, ref, self.F_d, none, none, none)  # type: ignore[arg-type]
+        return Action(model.gravity(now.q) + model.jacobian_transpose(now.q, ref.F_d), {}, ref.q - now.q)
 
 
-@dataclass(frozen=True, eq=False)
+@define
 class ForcePI(ForceLaw):
     r"""PI force control: equation 9.22, :math:`\tau = \hat g(q) + J^T(F_d + K_{fp} F_e + K_{fi} \int F_e)`.
 
@@ -83,22 +77,19 @@ class ForcePI(ForceLaw):
     """
 
     F_d: ArrayLike
-    kfp: Gain | ArrayLike
-    kfi: Gain | ArrayLike | None = None
+    kfp: Gain
+    kfi: Gain = Gain()
     equation = "9.22"
     typst = 'tau = hat(g)(q) + J^top ("F"_d + K_"fp" "F"_e + K_"fi" integral "F"_e dif t)'
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "F_d", checks.array("F_d", self.F_d, (6,)))
-        self._coerce("kfp", "kfi")
-
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """tau = g^ + J^T (F_d + Kfp F_e + Kfi z_f)."""
-        assert isinstance(self.kfp, Gain) and isinstance(self.kfi, Gain)
-        return self._act(model, now, ref, self.F_d, self.kfp, self.kfi, Gain("kdamp", None))  # type: ignore[arg-type]
+        F_e = ref.F_d - now.F
+        F = ref.F_d + self.kfp @ F_e + self.kfi @ now["z_f"]
+        return Action(model.gravity(now.q) + model.jacobian_transpose(now.q, F), {"z_f": F_e} if self.kfi else {}, ref.q - now.q)
 
 
-@dataclass(frozen=True, eq=False)
+@define
 class DampedForcePI(ForceLaw):
     r"""PI force control with velocity damping: equation 9.23,
     :math:`\tau = \hat g(q) + J^T(F_d + K_{fp} F_e + K_{fi} \int F_e - K_{damp} V)`.
@@ -111,17 +102,14 @@ class DampedForcePI(ForceLaw):
     """
 
     F_d: ArrayLike
-    kfp: Gain | ArrayLike
-    kfi: Gain | ArrayLike | None = None
-    kdamp: Gain | ArrayLike = 0.0
+    kfp: Gain
+    kfi: Gain = Gain()
+    kdamp: Gain = Gain(given=0.0)
     equation = "9.23"
     typst = 'tau = hat(g)(q) + J^top ("F"_d + K_"fp" "F"_e + K_"fi" integral "F"_e dif t - K_"damp" "V")'
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "F_d", checks.array("F_d", self.F_d, (6,)))
-        self._coerce("kfp", "kfi", "kdamp")
-
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """tau = g^ + J^T (F_d + Kfp F_e + Kfi z_f - Kdamp V)."""
-        assert isinstance(self.kfp, Gain) and isinstance(self.kfi, Gain) and isinstance(self.kdamp, Gain)
-        return self._act(model, now, ref, self.F_d, self.kfp, self.kfi, self.kdamp)  # type: ignore[arg-type]
+        F_e = ref.F_d - now.F
+        F = ref.F_d + self.kfp @ F_e + self.kfi @ now["z_f"] - self.kdamp @ model.jacobian(now.q, now.v)
+        return Action(model.gravity(now.q) + model.jacobian_transpose(now.q, F), {"z_f": F_e} if self.kfi else {}, ref.q - now.q)

@@ -2,27 +2,58 @@
 
 from __future__ import annotations
 
+from typing import Self, overload
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, matvec
-
-Array = NDArray[np.float64]
 
 
 class Gain:
-    """A gain named for messages. ``Gain(None) @ x`` is 0, and ``bool(Gain(None))`` is False."""
+    """A gain named for messages. ``Gain("ki", None) @ x`` is 0, and ``bool(Gain("ki", None))`` is False.
+
+    In the body of a law it declares a field: ``kp: Gain`` must be given, ``ki: Gain = Gain()`` may be left out. The field takes a number, a
+    vector, a matrix, another gain or None, and holds a gain.
+
+    Raises:
+        BadArgument: not finite, or neither a scalar, a vector nor a square matrix.
+    """
 
     __array_ufunc__ = None
 
-    def __init__(self, name: str, given: ArrayLike | Gain | None) -> None:
+    def __init__(self, name: str = "", given: ArrayLike | Gain | None = None, *, required: bool = False) -> None:
         self.name = name
+        self.required = required  #: of a field: it has no default
         raw = given.array if isinstance(given, Gain) else given
         self.array: Array | None = None if raw is None else checks.array(name, raw)
         if self.array is not None and (self.array.ndim > 2 or (self.array.ndim == 2 and self.array.shape[0] != self.array.shape[1])):
             raise BadArgument(name, f"shape {self.array.shape}", "a scalar, a vector or a square matrix")
+
+    # --- as a field of a law -------------------------------------------------------------------------------------
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, law: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, law: object, owner: type) -> Gain: ...
+    def __get__(self, law: object | None, owner: type) -> Gain:
+        if law is not None:
+            found: Gain = vars(law)[self.name]
+            return found
+        if self.required:  # dataclasses take the answer of the class for the default
+            raise AttributeError(f"{self.name} has no default")
+        return self
+
+    def __set__(self, law: object, given: ArrayLike | Gain | None) -> None:
+        vars(law)[self.name] = Gain(self.name, given)
+
+    # --- as a value ----------------------------------------------------------------------------------------------
 
     def __bool__(self) -> bool:
         return self.array is not None

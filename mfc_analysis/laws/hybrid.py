@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.laws.force import FORCE_UNITS
+from mfc_analysis.laws.force import FORCE_INTEGRAL, FORCE_UNITS
 from mfc_analysis.laws.gain import Gain
-from mfc_analysis.laws.law import TWIST, WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
+from mfc_analysis.laws.law import TWIST, Action, Measured, Slot, Tap, ToolLaw, ToolReference, define
 from mfc_analysis.laws.task_torque import tool_acceleration
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, matvec, times, value
 from mfc_analysis.robots.primitives import Primitives
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, eq=False)
-class HybridMotionForce(Law):
+@define
+class HybridMotionForce(ToolLaw):
     r"""Hybrid motion/force control: equation 9.24.
 
     .. math:: \tau = J_b^T\,(P\,\hat\Lambda(\tfrac{d}{dt}([Ad]V_d) + K_p X_e + K_i \int X_e + K_d V_e)
@@ -40,17 +39,17 @@ class HybridMotionForce(Law):
     """
 
     F_d: ArrayLike
-    kp: Gain | ArrayLike
-    ki: Gain | ArrayLike | None = None
-    kd: Gain | ArrayLike | None = None
-    kfp: Gain | ArrayLike = 0.0
-    kfi: Gain | ArrayLike | None = None
-    kdamp: Gain | ArrayLike = 0.0
+    kp: Gain
+    ki: Gain = Gain()
+    kd: Gain = Gain()
+    kfp: Gain = Gain(given=0.0)
+    kfi: Gain = Gain()
+    kdamp: Gain = Gain(given=0.0)
     constraints: Any = None
     projection: Literal["dynamic", "selection"] = "dynamic"
     form: Literal["standard", "printed", "printed_eta"] = "standard"
+    rows: Array = field(init=False, repr=False)  #: (k, 6) the constraints as rows A
     equation = "9.24"
-    space = "tool"
     opens_at = ("torque", "command", "position", "force")
     senses_force = True
     forms = ("standard", "printed", "printed_eta")
@@ -63,7 +62,6 @@ class HybridMotionForce(Law):
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         set_(self, "F_d", checks.array("F_d", self.F_d, (6,)))
-        self._coerce("kp", "ki", "kd", "kfp", "kfi", "kdamp")
         checks.choice("form", self.form, self.forms)
         checks.choice("projection", self.projection, ("dynamic", "selection"))
         takes = "rows A of shape (k, 6), 1 <= k <= 6, of full rank, with A V_b = 0 in the tool frame, or a ConstraintSet"
@@ -85,25 +83,27 @@ class HybridMotionForce(Law):
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
         """z and z_f, as far as ki and kfi are given."""
         motion = (Slot("z", TWIST),) if self.ki else ()
-        return (*motion, Slot("z_f", WRENCH)) if self.kfi else motion
+        return (*motion, FORCE_INTEGRAL) if self.kfi else motion
 
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    @property
+    def desired_wrench(self) -> Array:
+        """(6,) F_d [N, Nm], tool frame."""
+        return np.asarray(self.F_d, float)
+
+    @property
+    def force_directions(self) -> Array:
+        """(k, 6) the constraint rows A."""
+        return self.rows
+
+    def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:
         """tau = J^T (P Lambda^ c + (1 - P) f + eta^), with J^T eta = h - J^T Lambda J' v."""
-        assert isinstance(ref, ToolReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain) and isinstance(self.kd, Gain)
-        assert isinstance(self.kfp, Gain) and isinstance(self.kfi, Gain) and isinstance(self.kdamp, Gain)
         q, v = now.q, now.v
         E = model.pose(q).inverse() @ ref.X
         X_e, V = E.log(), model.jacobian(q, v)
         c = tap("command", tool_acceleration(E, X_e, V, ref, self.kp, self.ki, self.kd, now["z"], printed=self.form == "printed"))
-        F_d: Vector = self.F_d  # type: ignore[assignment]
-        rates: dict[str, Vector] = {"z": X_e} if self.ki else {}
-        f = F_d
-        if now.F is not None:
-            F_e = F_d - now.F
-            f = F_d + self.kfp @ F_e + self.kfi @ now["z_f"]
-            if self.kfi:
-                rates["z_f"] = F_e
-        f = f - self.kdamp @ V
+        F_e = ref.F_d - now.F
+        f = ref.F_d + self.kfp @ F_e + self.kfi @ now["z_f"] - self.kdamp @ V
+        rates = ({"z": X_e} if self.ki else {}) | ({"z_f": F_e} if self.kfi else {})
         h = model.bias(q, v)
         if self.form == "standard":
             wrench = self._split(model, q, c, f, minus=model.jacobian_dot(q, v))
@@ -113,7 +113,7 @@ class HybridMotionForce(Law):
 
     def _split(self, model: Primitives, q: Vector, c: Vector, f: Vector, minus: Vector) -> Vector:
         """P Lambda c + (1 - P) f - Lambda minus."""
-        A: Array = self.rows  # type: ignore[attr-defined]
+        A = self.rows
         if self.projection == "selection":
             S = A.T @ A
             if isinstance(minus, float):

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.gain import Gain
-from mfc_analysis.laws.law import Action, JointReference, Law, Measured, Slot, Tap, ToolReference
+from mfc_analysis.laws.law import Action, JointLaw, JointReference, Measured, Slot, Tap, define
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Vector, matvec
 from mfc_analysis.robots.primitives import Primitives
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, eq=False)
-class JointPID(Law):
+@define
+class JointPID(JointLaw):
     r"""Independent joint PID: equation 9.8, :math:`\tau = K_p e + K_i \int e + K_d \dot e`.
 
     Args:
@@ -30,25 +29,21 @@ class JointPID(Law):
     positive and ki < (b + kd)(kp - m g r sin th0)/I.
     """
 
-    kp: Gain | ArrayLike
-    ki: Gain | ArrayLike | None = None
-    kd: Gain | ArrayLike | None = None
+    kp: Gain
+    ki: Gain = Gain()
+    kd: Gain = Gain()
     equation = "9.8"
     typst = "tau = K_p e + K_i integral e dif t + K_d dot(e)"
     units = {"kp": "Nm/rad", "ki": "Nm/(rad s)", "kd": "Nm s/rad"}
 
-    def __post_init__(self) -> None:
-        self._coerce("kp", "ki", "kd")
-
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """tau = Kp e + Ki z + Kd e'."""
-        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain) and isinstance(self.kd, Gain)
         e, e_dot = ref.q - now.q, ref.v - now.v
         return Action(self.kp @ e + self.ki @ now["z"] + self.kd @ e_dot, {"z": e} if self.ki else {}, e)
 
 
-@dataclass(frozen=True, eq=False)
-class TorqueFeedforward(Law):
+@define
+class TorqueFeedforward(JointLaw):
     r"""Feedforward torque only: equation 9.9, :math:`\tau = \hat M(q_d) \ddot q_d + \hat h(q_d, \dot q_d)`.
 
     ``form="printed"``: the page writes the acceleration of the *error*, tau = M^(q_d)(q_d'' - q'') + h^(q_d, v_d): an
@@ -59,23 +54,26 @@ class TorqueFeedforward(Law):
     equation = "9.9"
     forms = ("standard", "printed")
     typst = "tau = hat(M)(q_d) dot.double(q)_d + hat(h)(q_d, dot(q)_d)"
-    kp = ki = kd = None
 
     def __post_init__(self) -> None:
         checks.choice("form", self.form, self.forms)
 
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
-        """tau = M^(q_d) a_d + h^(q_d, v_d); the printed form's - M^(q_d) q'' is ``error_inertia``."""
-        assert isinstance(ref, JointReference)
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
+        """tau = M^(q_d) a_d + h^(q_d, v_d); the printed form's - M^(q_d) q'' is ``acceleration_torque``."""
         return Action(model.inverse_dynamics(ref.q, ref.v, ref.a), {}, ref.q - now.q)
 
-    def error_inertia(self, model: Primitives, ref: JointReference, a: Vector) -> Vector:
-        """M^(q_d) a: what the printed form subtracts for the measured acceleration a."""
+    @property
+    def needs_acceleration(self) -> bool:
+        """True for the printed form."""
+        return self.form == "printed"
+
+    def acceleration_torque(self, model: Primitives, ref: JointReference, a: Vector) -> Vector:
+        """M^(q_d) a (..., n): what the printed form subtracts for the measured acceleration a."""
         return model.mass(ref.q, a)
 
 
-@dataclass(frozen=True, eq=False)
-class ComputedTorque(Law):
+@define
+class ComputedTorque(JointLaw):
     r"""Computed torque with PID error feedback: equations 9.10 and 9.12.
 
     .. math:: \tau = \hat M(q)\,(a_d + K_p e + K_i z + K_d \dot e) + \hat h
@@ -90,9 +88,9 @@ class ComputedTorque(Law):
     Sources: chapter, eq. 9.10, 9.12; Lynch & Park, Modern Robotics, ch. 11.
     """
 
-    kp: Gain | ArrayLike
-    ki: Gain | ArrayLike | None = None
-    kd: Gain | ArrayLike | None = None
+    kp: Gain
+    ki: Gain = Gain()
+    kd: Gain = Gain()
     form: Literal["standard", "printed"] = "standard"
     mass: ArrayLike | None = None
     equation = "9.10"
@@ -102,7 +100,6 @@ class ComputedTorque(Law):
     units = {"kp": "1/s^2", "ki": "1/s^3", "kd": "1/s"}
 
     def __post_init__(self) -> None:
-        self._coerce("kp", "ki", "kd")
         checks.choice("form", self.form, self.forms)
         if self.mass is not None:
             object.__setattr__(self, "mass", mass_matrix(self.mass))
@@ -112,9 +109,8 @@ class ComputedTorque(Law):
         super().check(n)
         check_mass(self.mass, n)
 
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """tau = M^ (a_d + Kp e + Ki z + Kd e') + h^."""
-        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain) and isinstance(self.kd, Gain)
         e, e_dot = ref.q - now.q, ref.v - now.v
         a_q = tap("command", ref.a + self.kp @ e + self.ki @ now["z"] + self.kd @ e_dot)
         rates: Mapping[str, Vector] = {"z": e} if self.ki else {}
@@ -126,8 +122,8 @@ class ComputedTorque(Law):
         return Action(inertial + h, rates, e)
 
 
-@dataclass(frozen=True, eq=False)
-class InverseDynamics(Law):
+@define
+class InverseDynamics(JointLaw):
     r"""Inverse dynamics with any outer loop: equations 9.11 and 9.13.
 
     .. math:: u = \hat M(q)\,a_q + \hat C \dot q + \hat g,\quad a_q = a_d + \mathrm{outer}(e)
@@ -136,13 +132,17 @@ class InverseDynamics(Law):
 
     Args:
         outer: e -> a_q [1/s^2]: a proper continuous python-control LTI system (SISO: one copy for each joint; or n x n), or
-            ``dict(kp=, ki=, kd=)`` for a PID.
+            its matrices (A, B, C, D); ``dict(kp=, ki=, kd=)`` for a PID.
 
     Raises:
         BadArgument: the system is improper, discrete, or neither 1 x 1 nor n x n; an unknown key.
     """
 
     outer: Any
+    kp: Gain = field(init=False, repr=False)
+    ki: Gain = field(init=False, repr=False)
+    kd: Gain = field(init=False, repr=False)
+    system: tuple[Array, Array, Array, Array] | None = field(init=False, repr=False)  #: A, B, C, D; None: a PID
     equation = "9.11"
     opens_at = ("torque", "command", "position")
     typst = "u = hat(M)(q) a_q + hat(C)(q, dot(q)) dot(q) + hat(g)(q)"
@@ -162,51 +162,60 @@ class InverseDynamics(Law):
             object.__setattr__(self, name, Gain(name, given.get(name)))
         object.__setattr__(self, "system", system)
 
+    def __getstate__(self) -> dict[str, Any]:  # a control system doesn't pickle; its matrices do
+        return vars(self) if self.system is None else {**vars(self), "outer": self.system}
+
     def gains(self) -> dict[str, Gain]:
         """The PID's gains; empty for an LTI outer loop."""
-        return {name: gain for name in ("kp", "ki", "kd") if (gain := getattr(self, name))}
+        return {name: gain for name, gain in super().gains().items() if gain}
 
     def check(self, n: int) -> None:
         """Raise BadArgument unless the outer loop fits n joints."""
         super().check(n)
-        system: tuple[Array, Array, Array, Array] | None = self.system  # type: ignore[attr-defined]
-        if system is not None and system[3].shape not in ((1, 1), (n, n)):
-            got = f"{system[3].shape[1]} inputs and {system[3].shape[0]} outputs"
+        if self.system is not None and self.system[3].shape not in ((1, 1), (n, n)):
+            got = f"{self.system[3].shape[1]} inputs and {self.system[3].shape[0]} outputs"
             raise BadArgument("outer", got, f"a system with one input and output, or {n} of each")
+
+    @property
+    def joint_by_joint(self) -> bool:
+        """True for a PID and for an outer loop that is the same for each joint."""
+        return self.system is None or self.system[3].shape == (1, 1)
 
     def matrices(self, n: int) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D of the LTI outer loop for n joints."""
-        A, B, C, D = self.system  # type: ignore[attr-defined]
+        assert self.system is not None
+        A, B, C, D = self.system
         if D.shape == (n, n):
             return A, B, C, D
         one = np.eye(n)
-        return np.kron(one, A), np.kron(one, B), np.kron(one, C), np.kron(one, D)
+        A, B, C, D = (np.asarray(np.kron(one, M), float) for M in self.system)
+        return A, B, C, D
 
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
-        """z of the PID, or the states of the LTI outer loop."""
-        if self.system is None:  # type: ignore[attr-defined]
+        """z of the PID, or the states of the LTI outer loop; of these the integrators are trimmed."""
+        if self.system is None:
             return super().slots(joints)
-        states = self.matrices(len(joints))[0].shape[0]
-        return (Slot("outer", tuple(str(i) for i in range(states)), integral=False),) if states else ()
+        A = self.matrices(len(joints))[0]
+        _, sigma, right = np.linalg.svd(A)
+        at_rest = right[sigma <= 1e-10 * max(1.0, float(sigma.max(initial=0.0)))].T
+        return (Slot("outer", tuple(str(i) for i in range(len(A))), integral=False, trim=at_rest),) if len(A) else ()
 
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """tau = M^(q) (a_d + outer(e)) + h^(q, v)."""
-        assert isinstance(ref, JointReference)
         e = ref.q - now.q
-        rates: dict[str, Vector] = {}
-        if self.system is None:  # type: ignore[attr-defined]
-            wanted = self.kp @ e + self.ki @ now["z"] + self.kd @ (ref.v - now.v)  # type: ignore[attr-defined]
-            if self.ki:  # type: ignore[attr-defined]
-                rates["z"] = e
-        else:
-            A, B, C, D = self.matrices(model.n)
-            wanted = matvec(D, e)
-            x = now["outer"]
-            if x is not None:
-                wanted = wanted + matvec(C, x)
-                rates["outer"] = matvec(A, x) + matvec(B, e)
-        a_q = tap("command", ref.a + wanted)
+        outer, rates = self._outer(model.n, e, ref.v - now.v, now)
+        a_q = tap("command", ref.a + outer)
         return Action(model.inverse_dynamics(now.q, now.v, a_q), rates, e)
+
+    def _outer(self, n: int, e: Vector, e_dot: Vector, now: Measured) -> tuple[Vector, dict[str, Vector]]:
+        """outer(e), and the rates of its states."""
+        if self.system is None:
+            return self.kp @ e + self.ki @ now["z"] + self.kd @ e_dot, {"z": e} if self.ki else {}
+        A, B, C, D = self.matrices(n)
+        x = now["outer"]
+        if x is None:
+            return matvec(D, e), {}
+        return matvec(D, e) + matvec(C, x), {"outer": matvec(A, x) + matvec(B, e)}
 
 
 def state_space(argument: str, system: Any) -> tuple[Array, Array, Array, Array]:
@@ -214,6 +223,8 @@ def state_space(argument: str, system: Any) -> tuple[Array, Array, Array, Array]
     import control
 
     takes = "a proper, continuous python-control LTI system (StateSpace or TransferFunction), or dict(kp=, ki=, kd=)"
+    if isinstance(system, tuple) and len(system) == 4:
+        system = control.ss(*system)
     if isinstance(system, (int, float)) and not isinstance(system, bool):
         system = control.ss([], [], [], [[float(system)]])
     if not isinstance(system, (control.StateSpace, control.TransferFunction)):

@@ -3,23 +3,27 @@
 A law is a value. ``act`` is pure: the equation of the chapter, over the primitives of the controller's own model, for plain
 and dual arrays alike. States of the loop (integrals, an LTI outer loop) come in by ``Measured`` and their rates go out by
 ``Action``; nothing is stored in the law.
+
+What the loop must know of a law stands here as an attribute or a hook; nobody asks for its equation's number, so a law of one's own is
+judged like the chapter's.
 """
 
 from __future__ import annotations
 
+import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from typing import ClassVar, Literal, NamedTuple
+from dataclasses import Field, dataclass, field
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar, dataclass_transform
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mfc_analysis.errors import Unsupported
 from mfc_analysis.laws.gain import Gain
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Vector
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.primitives import Primitives
-
-Array = NDArray[np.float64]
 
 #: names a wire: returns what goes on behind it (the same signal, unless the wire is cut)
 Tap = Callable[[str, Vector], Vector]
@@ -27,31 +31,50 @@ Tap = Callable[[str, Vector], Vector]
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
+AnyLaw = TypeVar("AnyLaw", bound="Law")
+
+
+@dataclass_transform(eq_default=False, field_specifiers=(field,))
+def define(cls: type[AnyLaw]) -> type[AnyLaw]:
+    """Decorator of a class of laws: a frozen dataclass, compared by identity, whose ``Gain`` fields take whatever a gain can be made of."""
+    return dataclass(frozen=True, eq=False)(cls)
+
 
 class Slot(NamedTuple):
     """A named group of controller states."""
 
     name: str  #: "z", "z_f", "outer"
     channels: tuple[str, ...]
-    integral: bool = True  #: an integral of an error (trimmed at the operating point, dropped where it acts on nothing)
+    integral: bool = True  #: an integral of an error: dropped where it acts on nothing
+    #: (k, r) directions of the k states that an operating point sets, so that the command is what the motion needs; None: all those of an integral
+    trim: Array | None = None
+
+    @property
+    def trimmed(self) -> Array:
+        """(k, r) the directions that an operating point sets."""
+        if self.trim is not None:
+            return self.trim
+        return np.eye(len(self.channels)) if self.integral else np.zeros((len(self.channels), 0))
 
 
 @dataclass(frozen=True, eq=False)
 class JointReference:
-    """Desired joint motion at the evaluated times."""
+    """Desired joint motion and tool force at the evaluated times."""
 
     q: Vector  #: (..., n)
     v: Vector
     a: Vector
+    F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) what the tool shall apply, tool frame; 0 under a law that asks for no force
 
 
 @dataclass(frozen=True, eq=False)
 class ToolReference:
-    """Desired tool motion at the evaluated times."""
+    """Desired tool motion and force at the evaluated times."""
 
     X: Pose
     V: Vector  #: (..., 6) body twist of the reference, in its own frame
     dV: Vector  #: (..., 6)
+    F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) what the tool shall apply, tool frame; 0 under a law that asks for no force
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +83,7 @@ class Measured:
 
     q: Vector  #: (..., n)
     v: Vector  #: (..., n)
-    F: Vector | None = None  #: (..., 6) measured F_tip, tool frame
+    F: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) measured F_tip, tool frame; 0 without a force sensor
     states: Mapping[str, Vector] = field(default_factory=dict)
 
     def __getitem__(self, slot: str) -> Vector | None:
@@ -75,14 +98,15 @@ class Action(NamedTuple):
     error: Vector  #: e (..., n) or X_e (..., 6)
 
 
-class Law:
-    """Base of all laws. Subclasses are frozen dataclasses; fields annotated with ``Gain`` become one."""
+class Law(ABC):
+    """Base of all laws: derive from ``JointLaw`` or ``ToolLaw``, decorated by ``define``."""
 
-    equation: ClassVar[str]  #: number in the chapter
+    equation: ClassVar[str]  #: number in the chapter, for the reader
     plant: ClassVar[Literal["velocity", "torque"]] = "torque"
     space: ClassVar[Literal["joint", "tool"]] = "joint"
     opens_at: ClassVar[tuple[str, ...]] = ("torque", "position")
     senses_force: ClassVar[bool] = False
+    follows_motion: ClassVar[bool] = True  #: False: its reference is a Hold, and a step of it is a step of F_d
     forms: ClassVar[tuple[str, ...]] = ("standard",)
     sources: ClassVar[tuple[str, ...]] = (
         "Lynch & Park, Modern Robotics, ch. 11",
@@ -90,17 +114,22 @@ class Law:
     )
     typst: ClassVar[str] = ""  #: the equation, as Typst math
     units: ClassVar[Mapping[str, str]] = {}  #: gain -> unit
+    damping: float = 0.0  #: [-] of the inverse of J, where the law has one; 0: refused near a singularity
 
-    def __post_init__(self) -> None:
-        self._coerce(*(f.name for f in fields(self) if "Gain" in str(f.type)))  # type: ignore[arg-type]  # subclasses are dataclasses
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name, annotation in inspect.get_annotations(cls).items():
+            default = cls.__dict__.get(name, ...)
+            if "Gain" in str(annotation) and not isinstance(default, (Gain, Field)):
+                setattr(cls, name, Gain(name, required=True) if default is ... else Gain(name, default))
 
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    @abstractmethod
+    def act(self, model: Primitives, now: Measured, ref: Any, tap: Tap) -> Action:
         """The law: command, rates of its states and error, from the controller's model and what is measured."""
-        raise TypeError(f"{type(self).__name__} is not a law: it defines no act()")
 
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
         """The law's own states, for an arm with these joints."""
-        if not getattr(self, "ki", None):
+        if not self.gains().get("ki"):
             return ()
         return (Slot("z", joints if self.space == "joint" else TWIST),)
 
@@ -115,14 +144,60 @@ class Law:
 
     def gains(self) -> dict[str, Gain]:
         """The gains by name, in the order of the fields."""
-        return {f.name: g for f in fields(self) if isinstance(g := getattr(self, f.name), Gain)}  # type: ignore[arg-type]
+        return {name: gain for name, gain in vars(self).items() if isinstance(gain, Gain)}
 
-    def _coerce(self, *names: str) -> None:
-        for name in names:
-            object.__setattr__(self, name, Gain(name, getattr(self, name)))
+    @property
+    def chosen_form(self) -> str:
+        """Which of ``forms`` this is: its field ``form``, where the law has one."""
+        return str(vars(self).get("form", "standard"))
+
+    # --- what the loop asks ----------------------------------------------------------------------------------------
+
+    @property
+    def desired_wrench(self) -> Array | None:
+        """(6,) F_d [N, Nm], tool frame, of a law that asks for a force; None: the law asks for none."""
+        return None
+
+    @property
+    def force_directions(self) -> Array | None:
+        """(k, 6) rows of the directions, tool frame, in which a tool law controls the force and not the motion; None: nowhere."""
+        return None
+
+    @property
+    def joint_by_joint(self) -> bool:
+        """True where the law is n separate loops as long as its gains are diagonal and the joints don't couple."""
+        return self.space == "joint" and self.follows_motion
+
+    @property
+    def needs_acceleration(self) -> bool:
+        """True where ``acceleration_torque`` is part of the law: an algebraic loop, solved with q'' inside."""
+        return False
+
+    def acceleration_torque(self, model: Primitives, ref: JointReference, a: Vector) -> Vector:
+        """(..., n) linear in a: what the law takes off its command for the measured acceleration a (..., n). Raises Unsupported without any."""
+        raise Unsupported("law", type(self).__name__, "a law that needs the acceleration")
 
     def __str__(self) -> str:
         gains = ", ".join(f"{k} = {g!r}" for k, g in self.gains().items() if g)
-        form = getattr(self, "form", "standard")
-        shown = "" if form == "standard" else f", form={form!r}"
+        shown = "" if self.chosen_form == "standard" else f", form={self.chosen_form!r}"
         return f"{type(self).__name__}({gains}{shown}) [eq. {self.equation}]"
+
+
+class JointLaw(Law):
+    """A law in joint space: its reference is q_d, v_d, a_d."""
+
+    space = "joint"
+
+    @abstractmethod
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
+        """The law: command, rates of its states and error, from the controller's model and what is measured."""
+
+
+class ToolLaw(Law):
+    """A law in tool space: its reference is X_d, V_d, V_d' on SE(3)."""
+
+    space = "tool"
+
+    @abstractmethod
+    def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:
+        """The law: command, rates of its states and error, from the controller's model and what is measured."""

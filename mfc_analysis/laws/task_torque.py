@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.laws.gain import Gain
 from mfc_analysis.laws.joint_torque import check_mass, mass_matrix
-from mfc_analysis.laws.law import Action, JointReference, Law, Measured, Tap, ToolReference
+from mfc_analysis.laws.law import Action, Measured, Tap, ToolLaw, ToolReference, define
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import Vector, matvec
 from mfc_analysis.maths.se3 import Pose, bracket, log_rate
@@ -33,8 +32,8 @@ def tool_acceleration(
     return E.adjoint(ref.dV) - bracket(V, V_d) + kp @ X_e + ki @ z + kd @ V_e
 
 
-@dataclass(frozen=True, eq=False)
-class TaskComputedTorque(Law):
+@define
+class TaskComputedTorque(ToolLaw):
     r"""Computed torque in tool space: equation 9.16.
 
     .. math:: \tau = J_b^T\,(\hat\Lambda(\tfrac{d}{dt}([Ad]V_d) + K_p X_e + K_i \int X_e + K_d V_e) + \hat\eta)
@@ -51,22 +50,20 @@ class TaskComputedTorque(Law):
     Closed form: exact model and scalar gains leave six copies of s^3 + kd s^2 + kp s + ki in error coordinates (X_e, V_e, z).
     """
 
-    kp: Gain | ArrayLike
-    ki: Gain | ArrayLike | None = None
-    kd: Gain | ArrayLike | None = None
+    kp: Gain
+    ki: Gain = Gain()
+    kd: Gain = Gain()
     form: Literal["standard", "printed"] = "standard"
     mass: ArrayLike | None = None
     null_damping: float = 0.0
     damping: float = 0.0
     equation = "9.16"
-    space = "tool"
     opens_at = ("torque", "command", "position")
     forms = ("standard", "printed")
     typst = 'tau = J_b^top (hat(Lambda) (dif/(dif t)(["Ad"] "V"_d) + K_p X_e + K_i integral X_e dif t + K_d "V"_e) + hat(eta))'
     units = {"kp": "1/s^2", "ki": "1/s^3", "kd": "1/s"}
 
     def __post_init__(self) -> None:
-        self._coerce("kp", "ki", "kd")
         checks.choice("form", self.form, self.forms)
         checks.number("null_damping", self.null_damping, low=0.0)
         checks.number("damping", self.damping, low=0.0)
@@ -78,9 +75,8 @@ class TaskComputedTorque(Law):
         super().check(n)
         check_mass(self.mass, n)
 
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:
         """tau = M^ (J^#(A - J' v) - null_damping (1 - J^# J) v) + h^."""
-        assert isinstance(ref, ToolReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain) and isinstance(self.kd, Gain)
         E = model.pose(now.q).inverse() @ ref.X
         X_e, V = E.log(), model.jacobian(now.q, now.v)
         command = tap("command", tool_acceleration(E, X_e, V, ref, self.kp, self.ki, self.kd, now["z"], printed=self.form == "printed"))

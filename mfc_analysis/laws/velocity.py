@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mfc_analysis.laws.gain import Gain
-from mfc_analysis.laws.law import Action, JointReference, Law, Measured, Tap, ToolReference
+from mfc_analysis.laws.law import Action, JointLaw, JointReference, Measured, Tap, ToolLaw, ToolReference, define
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import Dual, Vector, concatenate
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.primitives import Primitives
 
 
-class _JointVelocity(Law):
+class _JointVelocity(JointLaw):
     plant = "velocity"
     opens_at = ("velocity", "position")
 
-    def _pi(self, now: Measured, ref: JointReference, feedforward: Vector, kp: Gain, ki: Gain) -> Action:
-        e = ref.q - now.q
-        return Action(feedforward + kp @ e + ki @ now["z"], {"z": e} if ki else {}, e)
 
-
-@dataclass(frozen=True, eq=False)
+@define
 class VelocityFeedforward(_JointVelocity):
     r"""Open-loop velocity: equation 9.1, :math:`u = \dot q_d`.
 
@@ -34,15 +28,13 @@ class VelocityFeedforward(_JointVelocity):
 
     equation = "9.1"
     typst = "u = dot(q)_d"
-    kp = ki = None
 
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """u = v_d."""
-        assert isinstance(ref, JointReference)
         return Action(ref.v + np.zeros(model.n), {}, ref.q - now.q)
 
 
-@dataclass(frozen=True, eq=False)
+@define
 class VelocityP(_JointVelocity):
     r"""Proportional velocity feedback: equation 9.2, :math:`u = K_p e`, e = q_d - q.
 
@@ -52,21 +44,18 @@ class VelocityP(_JointVelocity):
     Closed forms: pole -k, phase margin 90 deg, delay margin pi/(2k), error v/k on a ramp of slope v.
     """
 
-    kp: Gain | ArrayLike
+    kp: Gain
     equation = "9.2"
     typst = "u = K_p e"
     units = {"kp": "1/s"}
 
-    def __post_init__(self) -> None:
-        self._coerce("kp")
-
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """u = Kp e."""
-        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain)
-        return self._pi(now, ref, np.zeros(model.n), self.kp, Gain("ki", None))
+        e = ref.q - now.q
+        return Action(self.kp @ e, {}, e)
 
 
-@dataclass(frozen=True, eq=False)
+@define
 class VelocityPI(_JointVelocity):
     r"""Proportional-integral velocity feedback: equation 9.3, :math:`u = K_p e + K_i \int e`.
 
@@ -78,8 +67,8 @@ class VelocityPI(_JointVelocity):
     Closed forms: s^2 + kp s + ki; critical damping at ki = kp^2/4; error 0 on a ramp, a/ki on a parabola.
     """
 
-    kp: Gain | ArrayLike
-    ki: Gain | ArrayLike
+    kp: Gain
+    ki: Gain
     form: Literal["standard", "printed"] = "standard"
     equation = "9.3"
     forms = ("standard", "printed")
@@ -87,17 +76,16 @@ class VelocityPI(_JointVelocity):
     units = {"kp": "1/s", "ki": "1/s^2"}
 
     def __post_init__(self) -> None:
-        self._coerce("kp", "ki")
         checks.choice("form", self.form, self.forms)
 
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """u = Kp e + Ki z (printed: u = Kp e + z)."""
-        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain)
+        e = ref.q - now.q
         ki = Gain("ki", 1.0) if self.form == "printed" else self.ki
-        return self._pi(now, ref, np.zeros(model.n), self.kp, ki)
+        return Action(self.kp @ e + ki @ now["z"], {"z": e} if ki else {}, e)
 
 
-@dataclass(frozen=True, eq=False)
+@define
 class VelocityFeedforwardPI(_JointVelocity):
     r"""Feedforward with proportional-integral feedback: equation 9.4, :math:`u = \dot q_d + K_p e + K_i \int e`.
 
@@ -107,23 +95,20 @@ class VelocityFeedforwardPI(_JointVelocity):
     Closed form: e'' + kp e' + ki e = 0 whatever q_d.
     """
 
-    kp: Gain | ArrayLike
-    ki: Gain | ArrayLike | None = None
+    kp: Gain
+    ki: Gain = Gain()
     equation = "9.4"
     typst = "u = dot(q)_d + K_p e + K_i integral e dif t"
     units = {"kp": "1/s", "ki": "1/s^2"}
 
-    def __post_init__(self) -> None:
-        self._coerce("kp", "ki")
-
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """u = v_d + Kp e + Ki z."""
-        assert isinstance(ref, JointReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain)
-        return self._pi(now, ref, ref.v, self.kp, self.ki)
+        e = ref.q - now.q
+        return Action(ref.v + self.kp @ e + self.ki @ now["z"], {"z": e} if self.ki else {}, e)
 
 
-@dataclass(frozen=True, eq=False)
-class TaskVelocity(Law):
+@define
+class TaskVelocity(ToolLaw):
     r"""Tool-space velocity control: equation 9.5, :math:`V_b = [Ad_{X^{-1}X_d}] V_d + K_p X_e + K_i \int X_e`.
 
     Joint rates by the inverse (pseudo-inverse) of J_b. X_e = log6(X^-1 X_d).
@@ -138,26 +123,23 @@ class TaskVelocity(Law):
     Closed form: for Kp = k I and no Ki, X_e' = -k X_e exactly, however large below pi.
     """
 
-    kp: Gain | ArrayLike
-    ki: Gain | ArrayLike | None = None
+    kp: Gain
+    ki: Gain = Gain()
     form: Literal["standard", "printed", "no_adjoint"] = "standard"
     damping: float = 0.0
     equation = "9.5"
     plant = "velocity"
-    space = "tool"
     opens_at = ("velocity", "command", "position")
     forms = ("standard", "printed", "no_adjoint")
     typst = '"V"_b = ["Ad"_(X^(-1) X_d)] "V"_d + K_p X_e + K_i integral X_e dif t'
     units = {"kp": "1/s", "ki": "1/s^2"}
 
     def __post_init__(self) -> None:
-        self._coerce("kp", "ki")
         checks.choice("form", self.form, self.forms)
         checks.number("damping", self.damping, low=0.0)
 
-    def act(self, model: Primitives, now: Measured, ref: JointReference | ToolReference, tap: Tap) -> Action:
+    def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:
         """q' = J^# (Ad V_d + Kp X_e + Ki z)."""
-        assert isinstance(ref, ToolReference) and isinstance(self.kp, Gain) and isinstance(self.ki, Gain)
         E = model.pose(now.q).inverse() @ ref.X
         X_e = difference(E) if self.form == "printed" else E.log()
         V_d = ref.V if self.form == "no_adjoint" else E.adjoint(ref.V)

@@ -87,7 +87,7 @@ class Decentralised:
 def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
     """The loop joint by joint. Raises Unsupported for tool and force laws, sampled loops, and an n x n outer loop."""
     law, n = equations.law, equations.n
-    if law.space == "tool" or law.senses_force or hasattr(law, "F_d") or equations.hardware.sample_time is not None or equations.algebraic:
+    if law.space == "tool" or not law.follows_motion or equations.sample_time or law.needs_acceleration:
         raise Unsupported("decentralised", type(law).__name__, "a joint-space law in continuous time: a loop for each joint")
     system = open_system(equations, point.times, point.x)
     m = len(point.times)
@@ -95,7 +95,7 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
     integrals: list[int] = []
     for where, slot in equations.parts.values():
         size = where.stop - where.start
-        if size % n or (slot.name == "outer" and law.system[3].shape != (1, 1)):  # type: ignore[attr-defined]
+        if size % n or not law.joint_by_joint:
             raise Unsupported("decentralised", type(law).__name__, "an outer loop that is the same for each joint")
         if slot.integral:
             integrals += range(sum(p.shape[1] for p in picks), sum(p.shape[1] for p in picks) + size // n)
@@ -120,14 +120,12 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
         stiffness, viscous = np.diagonal(g.tangent, axis1=1, axis2=2), np.diagonal(friction.tangent, axis1=1, axis2=2)
         A[:, :, 1, :] = 0.0
         A[:, :, 1, 0], A[:, :, 1, 1] = -stiffness / M, -viscous / M
-        names = list(equations.parts)
-        if "theta" in names:
-            hardware = equations.hardware
-            K = hardware.per_joint("joint_stiffness", n)
-            D = hardware.per_joint("joint_damping", n) if hardware.joint_damping is not None else np.zeros(n)
+        springs = equations.joints.springs
+        if springs is not None:
+            K, D = springs.stiffness, springs.damping
             for column, gain in ((0, -K), (1, -D), (2, K), (3, D)):
                 A[:, :, 1, column] += gain / M
-        elif "lag" in names:
+        elif equations.lag is not None:
             A[:, :, 1, -1] += 1 / M
         else:
             b[:, :, 1] = 1 / M

@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from mfc_analysis.analysis.spectrum import Pole, pole_table, poles
 from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.dynamics.equations import Equations, timed, warn_near_singular
 from mfc_analysis.dynamics.jacobians import Coordinates, closed_matrix, open_system
 from mfc_analysis.dynamics.operating_point import OperatingPoint, at_rest, nominal, on_reference, residual
 from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint, Unsupported
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
 from mfc_analysis.maths import checks
-from mfc_analysis.robots.primitives import WARN_CONDITION, Configuration
+from mfc_analysis.robots.primitives import Configuration
+from mfc_analysis.robots.singularity import WARN_CONDITION
 from mfc_analysis.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class Linearization:
     @property
     def dt(self) -> float:
         """Sample time [s]; 0 for a continuous loop."""
-        return float(self.equations.hardware.sample_time or 0.0)
+        return self.equations.sample_time
 
     @property
     def delay(self) -> float:
@@ -331,10 +332,12 @@ def _points(equations: Equations, times: Array, about: About, run: Simulation | 
 def _regular(equations: Equations, point: OperatingPoint) -> Configuration:
     """The arm at the operating points; for a tool law without damping, warned about or refused here where it is near-singular."""
     plant = equations.plant
-    arm = plant.at(np.ascontiguousarray(point.x[:, : equations.n]))
-    if equations.law.space == "tool" and not getattr(equations.law, "damping", 0.0):
-        plant.times = point.times
-        arm.check_regular()
+    q = np.ascontiguousarray(point.x[:, : equations.n])
+    arm = plant.at(q)
+    if equations.law.space == "tool" and not equations.law.damping:
+        with timed(point.times):
+            arm.check_regular()
+    warn_near_singular(equations, point.times, q)
     return arm
 
 

@@ -51,13 +51,13 @@ def step_figures(lin: Linearization) -> StepFigures:
 def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]]:
     """The system with a coordinate for each reference channel, and (input, output, name) of each."""
     system, law = lin.opened, lin.equations.law
-    if law.equation in ("9.21", "9.22", "9.23"):
+    if not law.follows_motion:
         return system, _forces(lin, tuple(range(6)))
     if law.space == "joint":
         return system, [(f"q_d_{j}", f"q_{j}", j) for j in lin.equations.robot.joint_names]
     system = _with_followed_pose(system)
-    rows = getattr(law, "rows", None)
-    moving = tuple(range(6)) if rows is None else tuple(i for i in range(6) if _held(np.asarray(rows))[i] < 0.5)
+    rows = law.force_directions
+    moving = tuple(range(6)) if rows is None else tuple(i for i in range(6) if _held(rows)[i] < 0.5)
     pairs = [(f"X_d_{TWIST[i]}", f"X_{TWIST[i]}", f"X_{TWIST[i]}") for i in moving]
     return system, pairs if rows is None else pairs + _forces(lin, tuple(i for i in range(6) if i not in moving))
 

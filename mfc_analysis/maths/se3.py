@@ -226,7 +226,7 @@ class Pose:
         xi = log6(self.matrix)
         angle = np.sqrt(np.sum(xi[..., 3:] ** 2, axis=-1))
         if np.any(angle > np.pi - 1e-3):
-            raise NearPi(float(np.max(angle)))
+            raise NearPi(float(np.max(angle)), index=int(np.argmax(angle)))
         return xi if self.twist is None else Dual(xi, Jlog6(xi) @ self.twist)
 
 

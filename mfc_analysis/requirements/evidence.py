@@ -273,8 +273,8 @@ def _torque(e: Evidence) -> Found:
         return Found(np.nan, "", run.end, run.message)
     torque = loop.equations.actuator == "torque"
     limit = np.array(loop.robot.limits.torque if torque else loop.robot.limits.velocity)
-    if torque and loop.equations.hardware.torque_limit is not None:
-        limit = np.minimum(limit, loop.equations.hardware.per_joint("torque_limit", loop.robot.n))
+    if torque and loop.equations.joints.torque_limit is not None:
+        limit = np.minimum(limit, loop.equations.joints.torque_limit)
     known = np.isfinite(limit)
     if not known.any():
         return Found(np.nan, "", None, f"the robot has no {'torque' if torque else 'velocity'} limits to compare with")

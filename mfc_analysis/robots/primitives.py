@@ -7,7 +7,6 @@ implicit rule for inverses (y = S^-1 b has tangent S^-1 (db - dS y)). Values are
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable
 from functools import cached_property
 from itertools import repeat
@@ -17,16 +16,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from mfc_analysis.errors import MfcWarning, NearSingular
+from mfc_analysis.errors import NearSingular
 from mfc_analysis.maths.dual import Dual, Vector, chain, elementwise, times, value
 from mfc_analysis.maths.se3 import Pose
+from mfc_analysis.robots.singularity import REFUSE_CONDITION, nearest_singular
 
 if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
 Array = NDArray[np.float64]
-
-WARN_CONDITION, REFUSE_CONDITION = 1e4, 1e6
 
 
 class Primitives:
@@ -35,7 +33,6 @@ class Primitives:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.n = robot.n
-        self.times: Array | None = None  #: times of the points being evaluated, for messages only
         self._model = robot.model
         self._data = robot.model.createData()
         self._still = robot.model.copy()  # the same arm without gravity: M x = rnea(q, 0, x)
@@ -158,7 +155,7 @@ class Primitives:
     def solve_jacobian(self, q: Vector, x: Vector, damping: float = 0.0) -> Array | Dual:
         """The joint velocity of a body twist x: J^-1 x, or the pseudo-inverse; damping [-] makes it J^T (J J^T + damping^2)^-1.
 
-        Raises NearSingular above condition number 1e6 (unless damped), warns above 1e4.
+        Raises NearSingular above condition number 1e6 (unless damped).
         """
         at = self.at(value(q))
         xs = value(x)
@@ -298,7 +295,6 @@ class Configuration:
     def __init__(self, primitives: Primitives, q: Array) -> None:
         self.q = q
         self._of = primitives
-        self._regular = False
 
     @cached_property
     def _kinematics(self) -> tuple[Array, Array, Array]:
@@ -366,22 +362,15 @@ class Configuration:
         """Singular values of J, largest first, (..., min(6, n))."""
         return np.asarray(np.linalg.svd(self.J, compute_uv=False), float)
 
+    @cached_property
+    def nearest_singular(self) -> NearSingular:
+        """The point nearest to singular, as the error that it may be."""
+        return nearest_singular(self._of.robot.tool, self.sigma)
+
     def check_regular(self) -> None:
-        """Warn where the condition number of J exceeds 1e4, raise NearSingular above 1e6 (or where rank is below min(6, n))."""
-        if self._regular:
-            return
-        sigma = self.sigma
-        low, high = np.ravel(sigma[..., -1]), np.ravel(sigma[..., 0])
-        condition = np.divide(high, low, out=np.full_like(high, np.inf), where=low > 0)
-        worst = int(np.argmax(condition))
-        times_ = self._of.times
-        when = None if times_ is None or np.size(times_) != condition.size else float(np.ravel(times_)[worst])
-        tool = self._of.robot.tool
-        if condition[worst] > REFUSE_CONDITION:
-            raise NearSingular(tool, float(low[worst]), float(condition[worst]), when)
-        if condition[worst] > WARN_CONDITION:
-            warnings.warn(str(NearSingular(tool, float(low[worst]), float(condition[worst]), when)), MfcWarning, stacklevel=2)
-        self._regular = True
+        """Raise NearSingular where the condition number of J exceeds 1e6 (or rank is below min(6, n))."""
+        if self.nearest_singular.condition > REFUSE_CONDITION:
+            raise self.nearest_singular
 
 
 def symmetric(upper: Array) -> Array:

@@ -21,13 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 from mfc_analysis.errors import BadArgument, BadRobot, MfcWarning, NearSingular
 from mfc_analysis.maths import checks
 from mfc_analysis.robots import build
+from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION, nearest_singular
 from mfc_analysis.robots.urdf import checked_urdf, read_urdf
 
 Array = NDArray[np.float64]
 Friction = Literal["urdf", "none"]
 
 COULOMB_SPEED = 1e-2  #: [rad/s or m/s] where tanh(v / COULOMB_SPEED) turns a friction's sign
-WARN_CONDITION, REFUSE_CONDITION = 1e4, 1e6  #: of the Jacobian, where task-space quantities warn and refuse
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  #: [m/s^2]
 
 _workspaces = threading.local()
@@ -419,13 +419,12 @@ class Robot:
     def _check_regular(self, J: Array) -> None:
         if self.n < 6:
             raise NearSingular(self.tool, 0.0, np.inf)
-        s = np.linalg.svd(J, compute_uv=False)
-        smallest, condition = float(s[..., -1].min()), float(np.max(s[..., 0] / np.maximum(s[..., -1], 1e-300)))
-        if condition > REFUSE_CONDITION:
-            raise NearSingular(self.tool, smallest, condition)
-        if condition > WARN_CONDITION:
-            figures = f"smallest singular value {smallest:.3g}, condition number {condition:.3g}"
-            warnings.warn(f"the Jacobian of frame {self.tool!r} is close to singular: {figures}", MfcWarning, stacklevel=3)
+        found = nearest_singular(self.tool, np.asarray(np.linalg.svd(J, compute_uv=False), float))
+        if found.condition > REFUSE_CONDITION:
+            raise found
+        if found.condition > WARN_CONDITION:
+            metrics = f"smallest singular value {found.sigma_min:.3g}, condition number {found.condition:.3g}"
+            warnings.warn(f"the Jacobian of frame {self.tool!r} is close to singular: {metrics}", MfcWarning, stacklevel=3)
 
 
 def _task_inertia(M: Array, J: Array) -> Array:

@@ -47,8 +47,7 @@ class History:
 def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
     """Method of steps: in a segment no longer than the shortest dead time, what arrives was sent in segments already done."""
     e, lose = run.equations, run.one_sided
-    actuator_delay, force_delay = (float(d or 0.0) for d in (e.hardware.delay, e.hardware.force_delay))
-    delays = {name: d for name, d in ((e.actuator, actuator_delay), ("force", force_delay)) if d > 0}
+    delays = e.delays
     start, end = float(asked[0]), float(asked[-1])
     wires = Wires()
     e.flow(start, x0, wires, run.inputs(start), lose_contact=lose)
@@ -57,8 +56,8 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
     def arriving(t: float) -> dict[str, Vector]:
         return {name: history[name].at(t - d) for name, d in delays.items()}
 
-    if actuator_delay:
-        run.arrived = lambda t: history[e.actuator].at(t - actuator_delay)
+    if e.actuator in delays:
+        run.arrived = lambda t: history[e.actuator].at(t - delays[e.actuator])
 
     def rates(t: float, x: Array) -> Array:
         rates_now: Array = value(e.join(e.flow(t, x, Wires(arriving(t)), run.inputs(t), lose_contact=lose).rates))

@@ -39,12 +39,11 @@ def floquet(e: Equations, period: float | None = None) -> Floquet:
     T = e.reference_source.period if period is None else checks.number("period", period, low=0.0, strict=True)
     if T is None:
         raise BadArgument("period", None, "a period [s]: this reference has none of its own")
-    hardware = e.hardware
-    if hardware.sample_time is not None:
+    if e.sample_time:
         return _sampled(e, float(T))
-    if hardware.delay is not None or hardware.force_delay is not None:
+    if e.delayed:
         takes = "a sample_time beside it: the period map of a continuous loop with dead time has no finite matrix"
-        raise Unsupported("hardware.delay", hardware.delay or hardware.force_delay, takes)
+        raise Unsupported("hardware.delay", max(e.delays.values()), takes)
     edges = np.linspace(0.0, float(T), STEPS + 1)
 
     def advance(x: Array) -> tuple[Array, Array]:
@@ -59,7 +58,7 @@ def floquet(e: Equations, period: float | None = None) -> Floquet:
 
 
 def _sampled(e: Equations, T: float) -> Floquet:
-    dt = float(e.hardware.sample_time)  # type: ignore[arg-type]
+    dt = e.sample_time
     count = round(T / dt)
     if count < 1 or abs(T - count * dt) > 1e-9 * T:
         raise Unsupported("period", T, f"a whole number of samples of {dt:g} s in a sampled loop")

@@ -22,7 +22,7 @@ def delayed(e: Equations, base: Simulation, t: Array, direction: Array) -> Array
 
     Runge-Kutta of fourth order on segments no longer than the shortest dead time, A(t) a cubic through four points of each.
     """
-    delays = [float(d) for d in (e.hardware.delay, e.hardware.force_delay) if d is not None]
+    delays = list(e.delays.values())
     whole = max(int(np.ceil((t[-1] - t[0]) / min(delays) - 1e-9)), 1)
     edges = np.linspace(t[0], t[-1], whole + 1)
     at_thirds = np.linspace(t[0], t[-1], 3 * whole + 1)
@@ -89,7 +89,7 @@ def _between(ticks: Array, states: Array, t: Array) -> Array:
 
 def sampled_at_rest(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
     """(N, nx) by the discrete model of the loop, whose powers these are: the base run stays where it is."""
-    opened, nx = sampled(open_system(e, t[:1], base.state(t[:1])), float(e.hardware.sample_time or 0.0)), e.nx
+    opened, nx = sampled(open_system(e, t[:1], base.state(t[:1])), e.sample_time), e.nx
     A = close_wires(opened)[0][0]
     command, sensed = _first_signals(e, base, direction)
     x = np.zeros(opened.nx)
@@ -120,8 +120,8 @@ def sampled_along(e: Equations, base: Simulation, t: Array, direction: Array) ->
 
     The same order of events as in ``sampled_run.run_sampled``: read, command, hold after the dead time, own states advanced with inputs held.
     """
-    T = float(e.hardware.sample_time or 0.0)
-    delay, force_delay = (float(d or 0.0) for d in (e.hardware.delay, e.hardware.force_delay))
+    T = e.sample_time
+    delay, force_delay = (e.delays.get(name, 0.0) for name in (e.actuator, "force"))
     start, nx = float(t[0]), e.nx
     samples = np.asarray(start + T * np.arange(len(t)), float)
     edges = np.unique(np.round(np.concatenate([samples, samples + delay % T, samples - force_delay]), 13))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.dynamics.equations import Equations, Inputs, Wires
+from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, timed
 from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.dual import Dual, Vector, value
 from mfc_analysis.maths.expm import expm_integral
@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 def run_sampled(run: Run, asked: Array, x0: Array) -> None:
     """Sample by sample: the law reads at t_k, its torque is held (after the dead time), its own states advance with inputs held."""
     e, lose = run.equations, run.one_sided
-    T = float(e.hardware.sample_time)  # type: ignore[arg-type]
-    delay, force_delay = (float(d or 0.0) for d in (e.hardware.delay, e.hardware.force_delay))
+    T = e.sample_time
+    delay, force_delay = (e.delays.get(name, 0.0) for name in (e.actuator, "force"))
     start, end = float(asked[0]), float(asked[-1])
     plant = np.array(e.plant_states, int)
     own = np.setdiff1d(np.arange(e.nx), plant)
@@ -36,9 +36,9 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
         s = e.split(x)
         read = e.split(run.path.at(max(t - force_delay, start))) if force_delay else s
         F = value(e.touch(read, lose_contact=lose).wrench)
-        e.plant.times = e.controller.times = np.asarray(t)  # for messages
         try:
-            action, rates = e.control(t, s, F, Wires(), Inputs())
+            with timed(t):
+                action, rates = e.control(t, s, F, Wires(), Inputs())
         except MfcError as why:
             run.refuse(t, why)
             return

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mfc_analysis.dynamics.equations import Equations, Flow, Inputs
+from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, warn_near_singular
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.dynamics.operating_point import OperatingPoint
-from mfc_analysis.errors import BadArgument, MfcError, one_warning
+from mfc_analysis.errors import BadArgument, MfcError
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import value
 from mfc_analysis.simulation.delayed import run_with_dead_time
@@ -107,17 +107,17 @@ def simulate(
         raise BadArgument("the start", float(np.abs(moving).max()), f"positions and velocities up to {FAR:g}")
     start = e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # an impossible start is an error, not an outcome
     bounded(value(e.join(start.rates)))
-    with one_warning():
-        if len(asked) > 1:
-            _run(run, asked, x0)
-        return _gathered(run, asked)
+    if len(asked) > 1:
+        _run(run, asked, x0)
+    found = _gathered(run, asked)
+    warn_near_singular(e, found.t, found.q)
+    return found
 
 
 def _run(run: Run, asked: Array, x0: Array) -> None:
-    hardware = run.equations.hardware
-    if hardware.sample_time is not None:
+    if run.equations.sample_time:
         run_sampled(run, asked, x0)
-    elif hardware.delay is not None or hardware.force_delay is not None:
+    elif run.equations.delayed:
         run_with_dead_time(run, asked, x0)
     else:
         _run_continuous(run, asked, x0)

@@ -104,19 +104,18 @@ def misfit(nonlinear: Array, linear: Array) -> float:
 
 
 def _grid(e: Equations, time: float) -> Array:
-    T = e.hardware.sample_time
-    if T is None:
+    T = e.sample_time
+    if not T:
         return np.linspace(0.0, time, STEPS + 1)
     return np.asarray(float(T) * np.arange(max(round(time / float(T)), 2) + 1), float)
 
 
 def _predict(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
     """(N, nx) the linear deviation from a unit disturbance, along the base run."""
-    hardware = e.hardware
-    if hardware.sample_time is not None:
+    if e.sample_time:
         at_rest = np.abs(base.x - base.x[0]).max() <= 1e-9 * (1 + np.abs(base.x[0]).max())
         return sampled_at_rest(e, base, t, direction) if at_rest else sampled_along(e, base, t, direction)
-    if hardware.delay is not None or hardware.force_delay is not None:
+    if e.delayed:
         return delayed(e, base, t, direction)
     return accumulated(transitions_along(e, base, t)) @ direction
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from mfc_analysis.errors import BadArgument, MfcWarning, NearSingular, NotConverged
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.se3 import adjoint, inverse, log6, pose_matrix
+from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION
 from mfc_analysis.trajectories.joint import JointPoint, JointReference, warn_outside_limits
 from mfc_analysis.trajectories.piecewise import Piecewise
 from mfc_analysis.trajectories.tool import ToolPoint, ToolReference
@@ -33,7 +34,6 @@ ITERATIONS = 100  #: of Newton at one time
 STEP = 0.08  #: largest joint step [rad or m] between two nodes of a followed path
 JUMP = 1.0  #: joint step [rad or m] that is another solution and not the next place on the path
 FINE, COARSE = 60, 24  #: nodes for each period or duration of a path: to interpolate between, and to start Newton from
-WARN_CONDITION, REFUSE_CONDITION = 1e4, 1e6
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,7 +86,7 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
     w = view.worst
     out: dict[str, Any] = {
         "equation": view.loop.law.equation,
-        "form": getattr(view.loop.law, "form", "standard"),
+        "form": view.loop.law.chosen_form,
         "at": view.point,
         "times": view.times,
         "stable": view.lin.stable,
@@ -149,8 +149,8 @@ def the_loop(view: View) -> Section:
     source = law.typst
     if source:
         body.append(Equation(source, f"control law, equation {law.equation}", law.equation))
-    if getattr(law, "form", "standard") != "standard":
-        body.append(Callout(Status.WATCH, f"form = {law.form!r}", "The equation above is the standard form; this loop runs the other one."))  # type: ignore[attr-defined]
+    if law.chosen_form != "standard":
+        body.append(Callout(Status.WATCH, f"form = {law.chosen_form!r}", "The equation above is the standard form; this loop runs the other one."))
     if view.loop.equations.actuator == "torque":
         contact = ' + J_b^top F_"tip"' if view.loop.equations.surfaces else ""
         body.append(Equation(f"M(q) dot.double(q) + h(q, dot(q)){contact} = tau", "equation of motion", "9.19" if contact else "9.7"))
