@@ -51,7 +51,7 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class JointRun:
-    """One law on the link: the run, its figures, and whether its loop is stable."""
+    """One law on the link: the run, its metrics, and whether its loop is stable."""
 
     name: str
     loop: ClosedLoop = field(repr=False)
@@ -215,23 +215,23 @@ class Comparison:
     inverse: JointRun
 
     def rows(self) -> tuple[tuple[str, str, str], ...]:
-        """The figures side by side: figure, PID, PID + inverse dynamics."""
+        """The metrics side by side: metric, PID, PID + inverse dynamics."""
         left, right = dict(self.plain.rows()), dict(self.inverse.rows())
         return tuple((key, left.get(key, "-"), right.get(key, "-")) for key in dict.fromkeys([*left, *right]))
 
     @property
     def finding(self) -> str:
-        """How the two compare, in a sentence from the figures."""
+        """How the two compare, in a sentence from the metrics."""
         bad = [run.name for run in (self.plain, self.inverse) if run.simulation.diverged or not run.stable]
         if bad:
             return f"{' and '.join(bad)}: not stable with these gains, so there is nothing to compare."
-        figures: tuple[tuple[str, float, float, Callable[[float], str]], ...] = (
+        metrics: tuple[tuple[str, float, float, Callable[[float], str]], ...] = (
             ("overshoots", self.plain.overshoot, self.inverse.overshoot, lambda x: f"{round(100 * x, 2):.3g} %"),
             ("settles in", self.plain.settling_time, self.inverse.settling_time, lambda x: _said(x, "s", "no time within the run")),
             ("needs", self.plain.peak_torque, self.inverse.peak_torque, lambda x: f"{x:.3g} N m"),
         )
         parts = []
-        for what, plain, inverse, said in figures:
+        for what, plain, inverse, said in metrics:
             names = ("PID", "inverse dynamics") if plain <= inverse else ("inverse dynamics", "PID")
             low, high = said(min(plain, inverse)), said(max(plain, inverse))
             parts.append(f"both: {what} {low}" if low == high else f"{names[0]} {what} {low}, {names[1]} {high}")

@@ -155,7 +155,7 @@ def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayL
 def singular_values(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayLike) -> SingularValues:
     """Singular values of S and T at ``at`` (a point or several together) over frequencies (nf,) [rad/s] > 0, dead time included.
 
-    Of an unstable loop they are figures without a meaning as gains. Raises ``UnknownPoint``, ``BadArgument`` as ``disk_margin``.
+    Of an unstable loop they are metrics without a meaning as gains. Raises ``UnknownPoint``, ``BadArgument`` as ``disk_margin``.
     """
     channels = opened(system, at)
     grid = _frequencies(frequencies, system.dt)

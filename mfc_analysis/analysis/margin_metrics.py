@@ -19,8 +19,8 @@ FARTHEST = 1e9  #: a gain beyond this is infinite, one below its inverse zero
 
 
 @dataclass(frozen=True, eq=False)
-class Figures:
-    """The figures of n channels at m points; each field (m, n)."""
+class MarginMetrics:
+    """The metrics of n channels at m points; each field (m, n)."""
 
     gain_reduction: Array  #: factor
     gain_increase: Array  #: factor
@@ -34,8 +34,8 @@ class Figures:
     peak_frequency: Array  #: [rad/s] 0 and inf are possible
 
 
-def put(figures: Figures, index: NDArray[np.int64], found: Figures) -> None:
-    for name, values in vars(figures).items():
+def put(metrics: MarginMetrics, index: NDArray[np.int64], found: MarginMetrics) -> None:
+    for name, values in vars(metrics).items():
         values[index] = getattr(found, name)
 
 

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, continuous
-from mfc_analysis.analysis.delay.margins import delayed_figures
+from mfc_analysis.analysis.delay.margins import delayed_metrics
 from mfc_analysis.analysis.frequency.crossings import crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, sensitivity_peak, thinned
 from mfc_analysis.analysis.frequency.resolvent import resolvent
-from mfc_analysis.analysis.margin_metrics import Figures, assembled, channels_without_zeros, frequency, put, sensitivity_at_zero
+from mfc_analysis.analysis.margin_metrics import MarginMetrics, assembled, channels_without_zeros, frequency, put, sensitivity_at_zero
 from mfc_analysis.analysis.spectrum import Spectrum, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
@@ -59,7 +59,7 @@ class Worst:
 class Margins:
     """One-loop-at-a-time margins, the other loops closed, dead time included. ``m`` times, ``n`` channels.
 
-    Infinite (no such crossing) is ``inf``; where a root that is not at zero is unstable all figures are NaN. A channel of
+    Infinite (no such crossing) is ``inf``; where a root that is not at zero is unstable all metrics are NaN. A channel of
     "force" that is not sensed is NaN too. Gains beyond 1e9 count as infinite, below 1e-9 as zero.
     """
 
@@ -67,7 +67,7 @@ class Margins:
     at: str  #: the analysis point
     channels: tuple[str, ...]  #: (n,) names
     stable: Bools  #: (m,) of the closed loop; read this first
-    drifts: Bools  #: (m,) a Jordan chain at zero; the figures are those of the other roots
+    drifts: Bools  #: (m,) a Jordan chain at zero; the metrics are those of the other roots
     gain_reduction: Array  #: (m, n) factor; stable for gains in (reduction, increase); 0: for all lower gains
     gain_increase: Array  #: (m, n) factor; inf where no increase destabilises
     reduction_frequency: Array  #: (m, n) [rad/s] of the root that crosses at the reduction; inf where there is none
@@ -154,41 +154,41 @@ def margins(system: OpenSystem, at: str) -> Margins:
     known = spectrum(system, modes[0].astype(np.complex128))
     verdict = stability(system, known)
     judged = verdict.nonzero_stable & (system.nx > known.roots.count)
-    figures = delayed_figures(system, at, judged, known) if system.delayed else _figures(ch, judged, known, (modes[0], modes[1]))
+    metrics = delayed_metrics(system, at, judged, known) if system.delayed else _metrics(ch, judged, known, (modes[0], modes[1]))
     if silent is not None:
-        for values in vars(figures).values():
+        for values in vars(metrics).values():
             values[silent] = np.nan
-    return Margins(system.times, at, ch.names, verdict.stable, verdict.drifts, **vars(figures))
+    return Margins(system.times, at, ch.names, verdict.stable, verdict.drifts, **vars(metrics))
 
 
 Modes = tuple[NDArray[Any], NDArray[Any]]  # eigenvalues (m, nx) and vectors (m, nx, nx)
 
 
-def _figures(ch: Channels, judged: Bools, known: Spectrum, modes: Modes) -> Figures:
-    """Figures of all points, in groups of the same number of roots at zero; NaN where not judged. ``modes``: of the channels' A."""
+def _metrics(ch: Channels, judged: Bools, known: Spectrum, modes: Modes) -> MarginMetrics:
+    """Metrics of all points, in groups of the same number of roots at zero; NaN where not judged. ``modes``: of the channels' A."""
     m, n = ch.H0.shape
-    figures = Figures(*(np.full((m, n), np.nan) for _ in range(10)))
+    metrics = MarginMetrics(*(np.full((m, n), np.nan) for _ in range(10)))
     plain = np.flatnonzero(judged & (known.roots.count == 0))
     if plain.size:
         poles = modes[0][plain]
         if ch.dt:
             poles = (poles - 1) / (poles + 1)
-        put(figures, plain, _figures_of(continuous(ch.at(plain)), ch.dt, modes=(poles, modes[1][plain])))
+        put(metrics, plain, _metrics_of(continuous(ch.at(plain)), ch.dt, modes=(poles, modes[1][plain])))
     for count in np.unique(known.roots.count[judged & (known.roots.count > 0)]):
         some = np.flatnonzero(judged & (known.roots.count == count))
         clean, seen = channels_without_zeros(ch.at(some), int(count))
-        found = _figures_of(continuous(clean), ch.dt)
+        found = _metrics_of(continuous(clean), ch.dt)
         if seen.any():
             hit = seen.any(axis=1)
-            with_zero = _figures_of(continuous(ch.at(some[hit])), ch.dt, sees_zero=seen[hit])
+            with_zero = _metrics_of(continuous(ch.at(some[hit])), ch.dt, sees_zero=seen[hit])
             for name, values in vars(found).items():
                 values[seen] = getattr(with_zero, name)[seen[hit]]
-        put(figures, some, found)
-    return figures
+        put(metrics, some, found)
+    return metrics
 
 
-def _figures_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: Modes | None = None) -> Figures:
-    """Figures of stable channels in the s plane (or the w plane of a loop sampled at ``dt``)."""
+def _metrics_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: Modes | None = None) -> MarginMetrics:
+    """Metrics of stable channels in the s plane (or the w plane of a loop sampled at ``dt``)."""
     found = resolvent(ch, modes)
     w = frequencies_of_interest(found.poles)
     if not found.modal.any():  # each of them costs a solution
@@ -202,8 +202,8 @@ def _figures_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: 
     peak, peak_at = sensitivity_peak(found, at_zero, w, H)
     if sees_zero is not None:
         peak, peak_at = np.where(sees_zero, np.inf, peak), np.where(sees_zero, 0.0, peak_at)
-    figures = assembled(gain, phase, at_zero, ch.H0, lambda w: frequency(w, dt))
-    return Figures(**figures, sensitivity_peak=np.maximum(peak, 1.0), peak_frequency=frequency(peak_at, dt))
+    metrics = assembled(gain, phase, at_zero, ch.H0, lambda w: frequency(w, dt))
+    return MarginMetrics(**metrics, sensitivity_peak=np.maximum(peak, 1.0), peak_frequency=frequency(peak_at, dt))
 
 
 def _worst_of(values: Array, largest: bool) -> float:

@@ -1,6 +1,6 @@
-"""Step responses of the closed loop, with their figures.
+"""Step responses of the closed loop, with their metrics.
 
-Samples come from one matrix exponential by doubling (x[k + 2^p] from x[k] in one product), figures from the exact response
+Samples come from one matrix exponential by doubling (x[k + 2^p] from x[k] in one product), metrics from the exact response
 between the samples: rise, settling and peak don't depend on the grid. With dead time see ``delayed_steps``.
 """
 
@@ -72,7 +72,7 @@ def step(system: OpenSystem, index: int, input: str | int, output: str | int, du
     """Unit step of ``input`` at ``output``, of the closed loop at point ``index``, dead time included.
 
     ``input``, ``output``: names or numbers; ``duration`` [s] of the samples returned, omitted: about twice the settling time.
-    The figures don't depend on it. Raises ``UnknownName`` and ``BadArgument``.
+    The metrics don't depend on it. Raises ``UnknownName`` and ``BadArgument``.
     """
     if not -len(system.A) <= index < len(system.A):
         raise BadArgument("index", index, f"a point from 0 to {len(system.A) - 1}")
@@ -87,16 +87,16 @@ def step(system: OpenSystem, index: int, input: str | int, output: str | int, du
     if one.delayed:
         first = first_duration(one, into, out)
     run = _settled_run(run_for, known, steady if outcome is Outcome.SETTLES else None, one.dt, first)
-    figures = _figures(run, steady, one.dt) if outcome is Outcome.SETTLES else dict.fromkeys(FIGURES, np.nan)
+    metrics = _metrics(run, steady, one.dt) if outcome is Outcome.SETTLES else dict.fromkeys(METRICS, np.nan)
     if outcome is Outcome.RAMPS:
-        figures["settling"] = np.inf
+        metrics["settling"] = np.inf
     shown = run if duration is None else run_for(duration, _samples(duration, known, one.dt))
     return Step(
-        shown.t, shown.y, system.input_names[into], system.output_names[out], float(one.times[0]), outcome, steady, settling_band=BAND, **figures
+        shown.t, shown.y, system.input_names[into], system.output_names[out], float(one.times[0]), outcome, steady, settling_band=BAND, **metrics
     )
 
 
-FIGURES = ("rise", "settling", "overshoot", "undershoot", "peak", "peak_time")
+METRICS = ("rise", "settling", "overshoot", "undershoot", "peak", "peak_time")
 
 
 def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
@@ -234,7 +234,7 @@ def _last_outside(run: Run, steady: float) -> float:
     return float(run.t[outside[-1]]) if outside.size else 0.0
 
 
-def _figures(run: Run, steady: float, dt: float) -> dict[str, float]:
+def _metrics(run: Run, steady: float, dt: float) -> dict[str, float]:
     exact = not dt
     peak, peak_time = _extreme(run, 1.0 if abs(run.y.max()) >= abs(run.y.min()) else -1.0, exact)
     band = _band(run, steady)
@@ -246,13 +246,13 @@ def _figures(run: Run, steady: float, dt: float) -> dict[str, float]:
         settling = _crossing(run, k, level) if exact else float(run.t[k + 1])
     none = band == 0 or abs(steady) <= 1e-9 * abs(peak)
     if none:
-        return dict(zip(FIGURES, (np.nan, settling, np.nan, np.nan, abs(peak), peak_time), strict=True))
+        return dict(zip(METRICS, (np.nan, settling, np.nan, np.nan, abs(peak), peak_time), strict=True))
     sign = np.copysign(1.0, steady)
     top, low = sign * _extreme(run, sign, exact)[0], sign * _extreme(run, -sign, exact)[0]
     rise = _first(run, 0.9 * steady, exact) - _first(run, 0.1 * steady, exact)
     over, under = max(0.0, top / abs(steady) - 1), max(0.0, -low / abs(steady))
     over = over if over > 1e-9 else 0.0
-    return dict(zip(FIGURES, (rise, settling, over, under, abs(peak), peak_time), strict=True))
+    return dict(zip(METRICS, (rise, settling, over, under, abs(peak), peak_time), strict=True))
 
 
 def _first(run: Run, level: float, exact: bool) -> float:

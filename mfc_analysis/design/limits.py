@@ -199,7 +199,7 @@ def _shown(line: Line) -> str:
 
 def stable(loop: ClosedLoop, times: ArrayLike) -> bool:
     """True if the roots that are not at zero are all inside at all times (m,) [s], dead time and sampling exact."""
-    return bool(Evidence(loop, times).judged.all())  # type: ignore[arg-type]
+    return bool(Evidence(loop.equations, checks.times(times)).judged.all())
 
 
 def _limit(
@@ -223,7 +223,7 @@ def _limit(
     notes: tuple[str, ...] = ()
     if bracket.before is not None:
         notes += (f"not stable from {values[0]:.4g} up to {bracket.before:.4g} {unit} either",)
-    if Evidence(last, t).stability.drifts.any():
+    if Evidence(last.equations, t).stability.drifts.any():
         notes += ("the loop drifts: judged are the roots that are not at zero",)
     if bracket.outcome is Outcome.UNLIMITED:
         return Limit(np.inf, name, unit, bracket.outcome, f"stable up to {bracket.holds:g} {unit}", last, None, bracket.evaluations, notes)
@@ -232,7 +232,7 @@ def _limit(
 
 
 def _root(loop: ClosedLoop, t: Array) -> str:
-    evidence = Evidence(loop, t)
+    evidence = Evidence(loop.equations, t)
     if evidence.nothing_else:
         return "every root is at zero"
     found = evidence.slowest_root()

@@ -60,7 +60,7 @@ class StiffnessSweep:
         return growth(self.opened)
 
     def margins(self, at: str = "force") -> Margins:
-        """Margins at each stiffness: (k, n) figures. Raises UnknownPoint."""
+        """Margins at each stiffness: (k, n) metrics. Raises UnknownPoint."""
         from mfc_analysis.analysis.margins import margins
 
         return margins(self.opened, at)

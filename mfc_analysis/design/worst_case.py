@@ -1,4 +1,4 @@
-"""What breaks first: the worst figure over ranges of parameters, by a grid and a local search, as a case that can be replayed."""
+"""What breaks first: the worst metric over ranges of parameters, by a grid and a local search, as a case that can be replayed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from mfc_analysis.errors import BadArgument, MfcError, UnknownName
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
-from mfc_analysis.requirements.evidence import FIGURES, Evidence
+from mfc_analysis.requirements.evidence import METRICS, Evidence
 from mfc_analysis.requirements.replay import replay
 from mfc_analysis.requirements.requirements import KINDS
 
@@ -29,8 +29,8 @@ WIDE = 100.0  #: a range whose ends have this ratio or more is spaced logarithmi
 class WorstCase:
     """The worst case found, convertible to float. ``value`` is NaN where the loop is not stable there."""
 
-    figure: str  #: what was minimised (maximised, for figures with an upper limit)
-    value: float  #: of the figure, in its own unit
+    metric: str  #: what was minimised (maximised, for metrics with an upper limit)
+    value: float  #: of the metric, in its own unit
     case: Case  #: the parameters; ``build(**case)`` is the loop
     loop: ClosedLoop
     where: str  #: joint or channel
@@ -47,7 +47,7 @@ class WorstCase:
     def __str__(self) -> str:
         case = ", ".join(f"{name} = {x:.6g}" for name, x in self.case.items())
         place = ", ".join(p for p in (self.where, "" if self.when is None else f"t = {self.when:.4g} s") if p)
-        label, unit = (KINDS[self.figure].label, f" {KINDS[self.figure].unit}".rstrip()) if self.figure in KINDS else (self.figure, "")
+        label, unit = (KINDS[self.metric].label, f" {KINDS[self.metric].unit}".rstrip()) if self.metric in KINDS else (self.metric, "")
         head = f"{label} {self.value:.6g}{unit}" if self.stable else f"not stable: rightmost root {self.rightmost:.4g} 1/s"
         lost = f"; {len(self.failed)} cases could not be judged" if self.failed else ""
         return f"worst case of {self.evaluations}: {head} at {case} ({place}){lost}"
@@ -57,7 +57,7 @@ class WorstCase:
 
 @dataclass(frozen=True)
 class _Score:
-    """Orders cases: not stable before stable, then by the figure; the smaller, the worse."""
+    """Orders cases: not stable before stable, then by the metric; the smaller, the worse."""
 
     key: tuple[int, float]
     value: float
@@ -70,7 +70,7 @@ def worst_case(
     build: Callable[..., ClosedLoop],
     ranges: Mapping[str, Sequence[float]],
     times: ArrayLike = (0.0,),
-    figure: str | Callable[[ClosedLoop], float] = "phase_deg",
+    metric: str | Callable[[ClosedLoop], float] = "phase_deg",
     *,
     at: str | None = None,
     points: int = 5,
@@ -81,13 +81,13 @@ def worst_case(
         build: keyword parameters -> ``ClosedLoop``.
         ranges: name -> (low, high), searched on a grid of ``points`` and then between; or three or more values, tried as they are.
         times: (m,) [s] of the path. at: analysis point.
-        figure: a field of ``Requirements``, or a function loop -> number, the smaller the worse. NaN counts as worst.
+        metric: a field of ``Requirements``, or a function loop -> number, the smaller the worse. NaN counts as worst.
 
     Ends of a range a hundredfold apart are spaced logarithmically. A case that cannot be built is recorded in ``failed``.
     Raises BadArgument, UnknownName; where no case can be judged the last reason is raised.
     """
-    if isinstance(figure, str) and figure not in FIGURES:
-        raise UnknownName("figure", figure, FIGURES)
+    if isinstance(metric, str) and metric not in METRICS:
+        raise UnknownName("metric", metric, METRICS)
     if not callable(build):
         raise BadArgument("build", build, "a function of the parameters that returns a ClosedLoop")
     if not isinstance(ranges, Mapping) or not ranges:
@@ -96,7 +96,7 @@ def worst_case(
         raise BadArgument("points", points, "a whole number >= 2")
     t = checks.times(times)
     axes = {name: _axis(name, given, points) for name, given in ranges.items()}
-    search = _Search(build, t, figure, at)
+    search = _Search(build, t, metric, at)
     scored = [(search.score(dict(zip(axes, values, strict=True))), values) for values in product(*(a.values for a in axes.values()))]
     judged = [(s, values) for s, values in scored if s is not None]
     if not judged:
@@ -105,7 +105,7 @@ def worst_case(
     best, start = min(judged, key=lambda pair: pair[0].key)
     best, case = _local(search, axes, best, dict(zip(axes, map(float, start), strict=True)))
     loop = build(**case)
-    name = figure if isinstance(figure, str) else getattr(figure, "__name__", "figure")
+    name = metric if isinstance(metric, str) else getattr(metric, "__name__", "metric")
     call = f"print(mfc.Requirements({name}={KINDS[name].low!r}).check(loop, times, at={at!r}))" if name in KINDS else ""
     return WorstCase(
         name, best.value, case, loop, best.where, best.when, best.key[0] > 0, best.rightmost, search.count, tuple(search.failed),
@@ -117,7 +117,7 @@ def worst_case(
 class _Search:
     build: Callable[..., ClosedLoop]
     times: Array
-    figure: str | Callable[[ClosedLoop], float]
+    metric: str | Callable[[ClosedLoop], float]
     at: str | None
     count: int = 0
     failed: list[tuple[Case, str]] = field(default_factory=list)
@@ -135,16 +135,17 @@ class _Search:
             return None
 
     def _score(self, case: Case) -> _Score:
-        evidence = Evidence(self.build(**case), self.times, self.at)
+        loop = self.build(**case)
+        evidence = Evidence(loop.equations, self.times, self.at)
         root = evidence.slowest_root()
         if not evidence.judged.all():
             return _Score((0, -root.value), float("nan"), root.where, root.when, root.value)
-        if isinstance(self.figure, str):
-            found = evidence.found(self.figure)
+        if isinstance(self.metric, str):
+            found = evidence.found(self.metric)
             value, where, when = found.value, found.where, found.when
-            worse = value if KINDS[self.figure].least else -value
+            worse = value if KINDS[self.metric].least else -value
         else:
-            value, where, when = float(self.figure(evidence.loop)), "", None
+            value, where, when = float(self.metric(loop)), "", None
             worse = value
         return _Score((1, -inf if isnan(worse) else worse), value, where, when, root.value)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +26,8 @@ class QuasiStatic:
     force: Array  #: (6,) F_tip, tool frame [N, Nm]
     error: Array  #: (6,) F_d - F_tip
     q: Array  #: (n,) where the arm rests
-    equations: Equations
-    x: Array | None  #: (1, nx) the rest point; None without an environment
+    equations: Equations = field(repr=False)
+    x: Array | None = field(repr=False)  #: (1, nx) the rest point; None without an environment
 
     def departure(self, frequencies: ArrayLike) -> Array:
         """(nf,) how far 9.20 is from 9.19 at w [rad/s]: largest singular value of (T_dynamic - T_static), the transfers from F_d to F_tip.

@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 def start_state(
     equations: Equations,
     t: float,
-    initial_error: ArrayLike,
-    q: ArrayLike | None,
-    v: ArrayLike | None,
-    integral: Any,
-    force_integral: ArrayLike,
-    actuator: ArrayLike | None,
+    initial_error: ArrayLike = 0.0,
+    q: ArrayLike | None = None,
+    v: ArrayLike | None = None,
+    integral: Any = 0.0,
+    force_integral: ArrayLike = 0.0,
+    actuator: ArrayLike | None = None,
 ) -> Array:
     """(nx,) the state a run starts from: see ``ClosedLoop.simulate``. Raises BadArgument."""
     e, n = equations, equations.robot.n

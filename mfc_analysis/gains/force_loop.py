@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.gains.scalar_loop import LoopFigures, loop_figures
+from mfc_analysis.gains.scalar_loop import LoopMetrics, loop_metrics
 
 _FAST = 1e3  # how far, as a factor of frequency, a bandwidth is sought above the loop with kfp = 0 and its poles together
 
@@ -33,7 +33,7 @@ class ForceDesign:
     natural_frequency: float  #: [rad/s] of the pair of poles, confirmed on the polynomial
     damping: float  #: of the pair of poles, confirmed on the polynomial
     pole: float  #: [rad/s] the pole at -pole
-    figures: LoopFigures  #: of L at the force sensor
+    metrics: LoopMetrics  #: of L at the force sensor
     tracking_bandwidth: float  #: [rad/s] -3 dB from F_d to F_tip
     stiffness_range: tuple[float, float]  #: [N/m] stable between them with these gains
 
@@ -68,21 +68,21 @@ def stiffness_range(kfp: float, kfi: float, kdamp: float, m: float, T: float = 0
 
 
 def force_design(name: str, value: float, k: float, m: float, T: float, b: float, zeta: float) -> ForceDesign:
-    """Gains >= 0 for which the figure ``name`` (as in ``mfc.gains``) is ``value``; ``BadArgument`` with the reason where there are none."""
+    """Gains >= 0 for which the metric ``name`` (as in ``mfc.gains``) is ``value``; ``BadArgument`` with the reason where there are none."""
     if name == "natural_frequency":
         return _finished(name, value, _placed(value, 1.0, k, m, T, b, zeta), k, m, T, b)
     from scipy.optimize import brentq
 
-    def figure(log_s: float) -> float:
+    def metric(log_s: float) -> float:
         w, r = _family(math.exp(log_s), k, m, T, b, zeta)
-        f = loop_figures(*_loop(*_placed(w, r, k, m, T, b, zeta)[:3], k, m, T, b), settle=name == "settling_time")
+        f = loop_metrics(*_loop(*_placed(w, r, k, m, T, b, zeta)[:3], k, m, T, b), settle=name == "settling_time")
         return float(getattr(f, name)) if f.stable else math.nan
 
     grid = np.linspace(math.log(1e-5), math.log(_highest(k, m, T, b, zeta)), 121)
     known = np.full(grid.size, math.nan)
     for i, log_s in enumerate(grid):
         try:
-            known[i] = figure(float(log_s))
+            known[i] = metric(float(log_s))
         except BadArgument:
             continue
     sign = np.sign(known - value)
@@ -90,7 +90,7 @@ def force_design(name: str, value: float, k: float, m: float, T: float, b: float
     if not crossed.size:
         raise _unattainable(name, value, known, k, m, T, b, zeta)
     left, right = grid[crossed[0]], grid[crossed[0] + 1]
-    s = math.exp(brentq(lambda x: figure(x) - value, left, right, xtol=1e-14, rtol=1e-14))
+    s = math.exp(brentq(lambda x: metric(x) - value, left, right, xtol=1e-14, rtol=1e-14))
     w, r = _family(s, k, m, T, b, zeta)
     return _finished(name, value, _placed(w, r, k, m, T, b, zeta), k, m, T, b)
 
@@ -159,16 +159,16 @@ def _finished(name: str, value: float, placed: Placed, k: float, m: float, T: fl
     """The design, measured on its polynomial; refused where that does not confirm what was asked."""
     kfp, kfi, kdamp, w, zeta, p, fast = placed
     closed = characteristic(kfp, kfi, kdamp, k, m, T, b)
-    figures = loop_figures(*_loop(kfp, kfi, kdamp, k, m, T, b))
+    metrics = loop_metrics(*_loop(kfp, kfi, kdamp, k, m, T, b))
     # the poles are confirmed on the polynomial of the finished gains: multiplied out they must give its coefficients
     factors = np.polymul(np.polymul([1.0, 2 * zeta * w, w * w], [1.0, p]), [1 / fast, 1.0] if T else [1.0])
     actual = np.array(closed if T else closed[1:])
     confirmed = np.allclose(factors * (actual[-1] / factors[-1]), actual, rtol=1e-8, atol=0)
-    found = w if name == "natural_frequency" else float(getattr(figures, name))
-    if not figures.stable or not confirmed or not abs(found / value - 1) <= 1e-6:
+    found = w if name == "natural_frequency" else float(getattr(metrics, name))
+    if not metrics.stable or not confirmed or not abs(found / value - 1) <= 1e-6:
         raise BadArgument(name, value, f"another value: the nearest loop attains {found:.6g}")
-    tracking = loop_figures([k * (1 + kfp), k * kfi], [*closed[:3], 0.0, 0.0], settle=False).bandwidth
-    return ForceDesign(kfp, kfi, kdamp, w, zeta, p, figures, tracking, stiffness_range(kfp, kfi, kdamp, m, T, b))
+    tracking = loop_metrics([k * (1 + kfp), k * kfi], [*closed[:3], 0.0, 0.0], settle=False).bandwidth
+    return ForceDesign(kfp, kfi, kdamp, w, zeta, p, metrics, tracking, stiffness_range(kfp, kfi, kdamp, m, T, b))
 
 
 def _unattainable(name: str, value: float, known: NDArray[np.float64], k: float, m: float, T: float, b: float, zeta: float) -> BadArgument:

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.gains.force_loop import force_design
 from mfc_analysis.gains.result import Achieved, DampingMatrix, Gains, Value
-from mfc_analysis.gains.scalar_loop import LoopFigures, loop_figures
+from mfc_analysis.gains.scalar_loop import LoopMetrics, loop_metrics
 from mfc_analysis.maths import checks
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def joint_pid(
     notes = [f"inertia {where}: {np.array2string(inertia, precision=5, separator=', ')} kg m^2 (kg for prismatic joints), armature included"]
     if np.any(smallest < inertia * (1 - 1e-9)):
         loops = zip(*(np.asarray(made[name]) for name in ("kd", "kp", "ki")), smallest, strict=True)
-        light = [loop_figures([kd, kp, ki], [lightest, 0, 0, 0], settle=False) for kd, kp, ki, lightest in loops]
+        light = [loop_metrics([kd, kp, ki], [lightest, 0, 0, 0], settle=False) for kd, kp, ki, lightest in loops]
         notes.append(f"where a joint is lightest its bandwidth is up to {max(f.bandwidth for f in light):.4g} rad/s")
     return Gains(made.gains, made.units, made.formula, made.definition, f"{made.loop}, I = M_jj(q) {where}", made.achieved, tuple(notes))
 
@@ -187,7 +187,7 @@ def force_pi(
     T, b = checks.number("lag", lag, low=0.0, high=1e6), checks.number("friction", friction, low=0.0, high=1e12)
     zeta = checks.number("damping", damping, low=1e-3, high=1e3)
     found = force_design(name, value, k, m, T, b, zeta)
-    f = found.figures
+    f = found.metrics
     notes = [f"from F_d to F_tip (the feedforward included) the bandwidth is {found.tracking_bandwidth:.4g} rad/s"]
     low, high = found.stiffness_range
     above = "any stiffness above it" if high == math.inf else f"{high:.4g} N/m, {high / k:.3g} times this stiffness"
@@ -276,9 +276,9 @@ def _polynomials(kind: str, gains: Mapping[str, float], inertia: float) -> tuple
 
 
 @lru_cache(maxsize=256)
-def _unit_figures(kind: str, damping: float) -> LoopFigures:
-    """Figures of the loop whose natural frequency and inertia are 1: everything else is a change of time scale."""
-    return loop_figures(*_polynomials(kind, {name: factor for name, (factor, _) in _FORMULAS[kind][2](damping).items()}, 1.0))
+def _unit_metrics(kind: str, damping: float) -> LoopMetrics:
+    """Metrics of the loop whose natural frequency and inertia are 1: everything else is a change of time scale."""
+    return loop_metrics(*_polynomials(kind, {name: factor for name, (factor, _) in _FORMULAS[kind][2](damping).items()}, 1.0))
 
 
 def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayLike) -> Gains:
@@ -287,9 +287,9 @@ def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayL
     if np.any(I < 1e-12) or np.any(I > 1e12) or I.size == 0:
         raise BadArgument("inertia", inertia, "positive numbers, 1e-12 to 1e12")
     name, value = asked
-    unit = _unit_figures(kind, zeta)
-    figure = {"natural_frequency": 1.0, "bandwidth": unit.bandwidth, "crossover": unit.crossover, "settling_time": unit.settling_time}[name]
-    w = figure / value if name == "settling_time" else value / figure
+    unit = _unit_metrics(kind, zeta)
+    metric = {"natural_frequency": 1.0, "bandwidth": unit.bandwidth, "crossover": unit.crossover, "settling_time": unit.settling_time}[name]
+    w = metric / value if name == "settling_time" else value / metric
     formula, loop, factors = _FORMULAS[kind]
     gains: dict[str, Value] = {}
     for gain, (factor, power) in factors(zeta).items():
@@ -303,12 +303,12 @@ def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayL
 
 
 def _achieved(kind: str, gains: Mapping[str, Value], I: Array) -> Achieved:
-    """Figures of the loops with these gains, one for each inertia."""
+    """Metrics of the loops with these gains, one for each inertia."""
     found = []
     for index in np.ndindex(I.shape):
         one = {name: float(np.asarray(value)[index]) for name, value in gains.items()}
         inertia = float(I[index])
-        f = loop_figures(*_polynomials(kind, one, inertia))
+        f = loop_metrics(*_polynomials(kind, one, inertia))
         per = {name: value / inertia for name, value in one.items()}
         w, zeta = _pair(kind, per)
         found.append((f.bandwidth, f.crossover, f.settling_time, w, zeta, f.phase_deg))

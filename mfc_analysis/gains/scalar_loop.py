@@ -1,4 +1,4 @@
-"""Figures of one scalar loop L = num/den from its polynomials, without sampling a frequency axis.
+"""Metrics of one scalar loop L = num/den from its polynomials, without sampling a frequency axis.
 
 Crossings are roots of polynomials in w^2, polished by Newton; the settling time is the last root of |1 - y(t)| = tolerance
 of the step response of T = L/(1 + L), by matrix exponentials, so that repeated poles do no harm.
@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class LoopFigures:
-    """Figures of T = L/(1 + L), L in negative feedback; ``inf`` where there is no such crossing, NaN throughout when T is unstable."""
+class LoopMetrics:
+    """Metrics of T = L/(1 + L), L in negative feedback; ``inf`` where there is no such crossing, NaN throughout when T is unstable."""
 
     stable: bool
     bandwidth: float  #: [rad/s] lowest frequency where |T| falls to 1/sqrt(2) (-3 dB)
@@ -27,13 +27,13 @@ class LoopFigures:
     tolerance: float = 0.02  #: of the settling time: 2 %
 
 
-def loop_figures(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle: bool = True) -> LoopFigures:
-    """Figures of the loop L = num/den (coefficients, highest power first; strictly proper, T(0) = 1); without ``settle`` its settling time is NaN."""
+def loop_metrics(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle: bool = True) -> LoopMetrics:
+    """Metrics of the loop L = num/den (coefficients, highest power first; strictly proper, T(0) = 1); without ``settle`` its settling time is NaN."""
     n, d = np.trim_zeros(np.asarray(num, float), "f"), np.trim_zeros(np.asarray(den, float), "f")
     closed = np.polyadd(n, d)
     poles = np.roots(closed)
     if np.any(poles.real >= 0):
-        return LoopFigures(False, math.nan, math.nan, math.nan, math.nan, tolerance)
+        return LoopMetrics(False, math.nan, math.nan, math.nan, math.nan, tolerance)
     unit = float(np.exp(np.mean(np.log(np.abs(poles)))))  # time in units of the mean pole
     n, d, closed = (_scaled(p, unit) / (closed[0] * unit ** (closed.size - 1)) for p in (n, d, closed))
     falls = _crossings(n, closed, 0.5)
@@ -44,7 +44,7 @@ def loop_figures(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle
         L = np.polyval(n, 1j * crossover) / np.polyval(d, 1j * crossover)
         phase = math.degrees(float(np.angle(-L)))
     settling = _settling(d, closed, tolerance) / unit if settle else math.nan
-    return LoopFigures(True, float(falls[0] * unit) if falls.size else math.inf, float(crossover * unit), phase, settling, tolerance)
+    return LoopMetrics(True, float(falls[0] * unit) if falls.size else math.inf, float(crossover * unit), phase, settling, tolerance)
 
 
 def _scaled(p: Array, unit: float) -> Array:

@@ -217,7 +217,7 @@ class Linearization:
     # --- margins and responses -----------------------------------------------------------------------------------
 
     def margins(self, at: str | None = None) -> Margins:
-        """One-loop-at-a-time margins at ``at``, the others closed: (m, n) figures. Raises UnknownPoint."""
+        """One-loop-at-a-time margins at ``at``, the others closed: (m, n) metrics. Raises UnknownPoint."""
         from mfc_analysis.analysis.margins import margins
 
         at = self._at(at)
@@ -242,7 +242,7 @@ class Linearization:
         return frequency_response(self._opened_for(at), w, at)
 
     def step(self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None) -> Step:
-        """Unit step response of the closed loop at one time, with its figures. Raises UnknownName."""
+        """Unit step response of the closed loop at one time, with its metrics. Raises UnknownName."""
         from mfc_analysis.analysis.steps import step
 
         return step(self.opened, self._index(index), input, output, duration)

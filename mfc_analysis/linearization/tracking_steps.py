@@ -25,8 +25,8 @@ RESISTED = 0.05  #: part of the stiffest axis above which an axis counts as resi
 
 
 @dataclass(frozen=True, eq=False)
-class StepFigures:
-    """Figures of linear unit steps, m times and k channels. NaN: the channel does not lead to a steady value of its own."""
+class StepMetrics:
+    """Metrics of linear unit steps, m times and k channels. NaN: the channel does not lead to a steady value of its own."""
 
     times: Array  #: (m,) [s]
     channels: tuple[str, ...]  #: (k,)
@@ -34,7 +34,7 @@ class StepFigures:
     overshoot: Array  #: (m, k) fraction of the final value
 
 
-def step_figures(lin: Linearization) -> StepFigures:
+def step_metrics(lin: Linearization) -> StepMetrics:
     """Settling and overshoot of all channels at all times of a linearised loop, from its exact step responses."""
     system, pairs = followed(lin)
     m, k = len(lin.times), len(pairs)
@@ -45,7 +45,7 @@ def step_figures(lin: Linearization) -> StepFigures:
             settling[i, j], overshoot[i, j] = found.settling, found.overshoot
             if found.steady_state == 0.0:
                 settling[i, j] = np.nan
-    return StepFigures(lin.times, tuple(name for *_, name in pairs), settling, overshoot)
+    return StepMetrics(lin.times, tuple(name for *_, name in pairs), settling, overshoot)
 
 
 def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]]:

@@ -26,29 +26,29 @@ _NAMES = {
 _TIGHTEST = {"sensitivity_peak": "high"}
 
 
-def figure_values(found: Any, figure: str) -> Array:
-    """One figure of a ``Margins`` in the unit it is drawn in: (m, n). Raises ``UnknownName``."""
-    if figure not in _NAMES:
-        raise UnknownName("figure", figure, _NAMES)
+def metric_values(found: Any, metric: str) -> Array:
+    """One metric of a ``Margins`` in the unit it is drawn in: (m, n). Raises ``UnknownName``."""
+    if metric not in _NAMES:
+        raise UnknownName("metric", metric, _NAMES)
     with np.errstate(divide="ignore"):
-        if figure == "gain_increase_db":
+        if metric == "gain_increase_db":
             return np.asarray(20 * np.log10(found.gain_increase))
-        if figure == "gain_reduction_db":
+        if metric == "gain_reduction_db":
             return np.asarray(-20 * np.log10(found.gain_reduction))
-    return np.asarray(getattr(found, figure), float) * (1e3 if figure == "delay" else 1.0)
+    return np.asarray(getattr(found, metric), float) * (1e3 if metric == "delay" else 1.0)
 
 
-def margins(found: Any, *, figure: str = "phase_deg", asked: float | None = None, ax: Axes | None = None) -> Axes:
-    """One figure of a ``Margins`` against time, a line per channel, the worst one marked.
+def margins(found: Any, *, metric: str = "phase_deg", asked: float | None = None, ax: Axes | None = None) -> Axes:
+    """One metric of a ``Margins`` against time, a line per channel, the worst one marked.
 
     Args:
-        found: ``times`` (m,) [s], ``channels`` (n,), ``stable`` (m,), and the figure (m, n); NaN where unstable, inf where nothing
+        found: ``times`` (m,) [s], ``channels`` (n,), ``stable`` (m,), and the metric (m, n); NaN where unstable, inf where nothing
             limits (not drawn, said).
-        figure: "phase_deg", "gain_increase_db", "gain_reduction_db", "delay" (drawn in ms, ``asked`` in s) or "sensitivity_peak".
+        metric: "phase_deg", "gain_increase_db", "gain_reduction_db", "delay" (drawn in ms, ``asked`` in s) or "sensitivity_peak".
     """
     alone = ax is None
     ax = ax if ax is not None else sheet.axes_for("time history")
-    values = figure_values(found, figure)
+    values = metric_values(found, metric)
     times = np.asarray(found.times, float)
     shown = np.where(np.isfinite(values), values, np.nan)
     for j, name in enumerate(found.channels):
@@ -56,9 +56,9 @@ def margins(found: Any, *, figure: str = "phase_deg", asked: float | None = None
             continue
         ax.plot(times, shown[:, j], color=sheet.colour(j), linewidth=1.3, label=str(name), marker="o" if times.size == 1 else None, markersize=3.5)
     if asked is not None and np.isfinite(asked):
-        ax.axhline(asked * (1e3 if figure == "delay" else 1.0), color=sheet.LIMIT, linewidth=1.0, linestyle="--", zorder=1.5)
+        ax.axhline(asked * (1e3 if metric == "delay" else 1.0), color=sheet.LIMIT, linewidth=1.0, linestyle="--", zorder=1.5)
     _unstable(ax, times, np.asarray(found.stable, bool))
-    _worst(ax, times, shown, high=figure in _TIGHTEST)
+    _worst(ax, times, shown, high=metric in _TIGHTEST)
     if times.size > 1:
         ax.set_xlim(times[0], times[-1])
     else:
@@ -69,7 +69,7 @@ def margins(found: Any, *, figure: str = "phase_deg", asked: float | None = None
         sheet.empty(ax, said)
     elif not np.isfinite(values[np.asarray(found.stable, bool)]).all():
         sheet.note(ax, "no limit where no line is drawn", (0.99, 0.93), color=sheet.GREY, ha="right", inside=True)
-    sheet.label(ax, "t [s]", _NAMES[figure])
+    sheet.label(ax, "t [s]", _NAMES[metric])
     if alone and len(found.channels) > 1:
         sheet.legend(ax, above=True)
     return ax
@@ -79,22 +79,22 @@ def margin_history(
     found: Any,
     asked: Mapping[str, float] | None = None,
     *,
-    figures: tuple[str, ...] | None = None,
+    metrics: tuple[str, ...] | None = None,
     title: str = "",
 ) -> tuple[Axes, ...]:
-    """Several figures of a ``Margins`` above one another, with the limits of ``asked`` (by the names of ``Requirements``).
+    """Several metrics of a ``Margins`` above one another, with the limits of ``asked`` (by the names of ``Requirements``).
 
-    ``figures``: one to four of those of ``margins``; default: phase, the tighter side of the gain, delay, sensitivity peak.
+    ``metrics``: one to four of those of ``margins``; default: phase, the tighter side of the gain, delay, sensitivity peak.
     """
-    figures = figures if figures is not None else ("phase_deg", _tighter(found), "delay", "sensitivity_peak")
+    metrics = metrics if metrics is not None else ("phase_deg", _tighter(found), "delay", "sensitivity_peak")
     kinds = {1: "time history", 2: "two histories", 3: "three histories", 4: "four histories"}
-    if len(figures) not in kinds:
-        raise UnknownName("figures", len(figures), map(str, kinds))
-    axes = sheet.panels_for(kinds[len(figures)])
-    for ax, figure in zip(axes, figures, strict=True):
-        margins(found, figure=figure, asked=(asked or {}).get(figure), ax=ax)
+    if len(metrics) not in kinds:
+        raise UnknownName("metrics", len(metrics), map(str, kinds))
+    axes = sheet.panels_for(kinds[len(metrics)])
+    for ax, metric in zip(axes, metrics, strict=True):
+        margins(found, metric=metric, asked=(asked or {}).get(metric), ax=ax)
         ax.set_ylabel(
-            _NAMES[figure].replace(" margin", "").replace("sensitivity peak [-]", "Ms [-]").replace(" increase", " up").replace(" reduction", " down")
+            _NAMES[metric].replace(" margin", "").replace("sensitivity peak [-]", "Ms [-]").replace(" increase", " up").replace(" reduction", " down")
         )
         ax.set_xlabel("")
     sheet.hide_times(axes)
@@ -106,7 +106,7 @@ def margin_history(
 
 def _tighter(found: Any) -> str:
     both = ("gain_increase_db", "gain_reduction_db")
-    least = [np.min(v, initial=np.inf, where=np.isfinite(v)) for v in (figure_values(found, name) for name in both)]
+    least = [np.min(v, initial=np.inf, where=np.isfinite(v)) for v in (metric_values(found, name) for name in both)]
     return both[int(least[1] < least[0])]
 
 

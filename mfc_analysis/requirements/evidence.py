@@ -1,6 +1,6 @@
-"""What a loop achieves, figure by figure: the worst value along the path, with its joint and time. ``requirements`` compares it with what was asked.
+"""What a loop achieves, metric by metric: the worst value along the path, with its joint and time. ``requirements`` compares it with what was asked.
 
-Linear figures come from the loop linearised about its reference, all times at once; tracking error and torque from one
+Linear metrics come from the loop linearised about its reference, all times at once; tracking error and torque from one
 nonlinear run along the reference, started on it with integrals at zero. Everything is computed at first use, once.
 """
 
@@ -17,18 +17,22 @@ from numpy.typing import NDArray
 from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.analysis.zero_roots import without_zero_roots
+from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import closed_matrix
-from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint
-from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.dynamics.operating_point import nominal
+from mfc_analysis.dynamics.start_state import start_state
+from mfc_analysis.errors import UnknownName, UnknownPoint
+from mfc_analysis.linearization.linearization import linearize
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import value
+from mfc_analysis.simulation.simulation import simulate
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.disk import DiskMargin
     from mfc_analysis.analysis.margins import Margins
     from mfc_analysis.analysis.stability import Stability
     from mfc_analysis.linearization.linearization import Linearization
-    from mfc_analysis.linearization.tracking_steps import StepFigures
+    from mfc_analysis.linearization.tracking_steps import StepMetrics
     from mfc_analysis.simulation.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -42,7 +46,7 @@ HOLD_RUN = 2.0  #: [s] of a nonlinear run where neither times nor the reference 
 
 
 class Found(NamedTuple):
-    """A figure at its worst place."""
+    """A metric at its worst place."""
 
     value: float  #: NaN where it is not defined, with the reason in ``note``
     where: str = ""  #: joint or channel
@@ -52,36 +56,34 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The figures of one loop at m times.
+    """The metrics of one loop at m times.
 
     Args:
-        loop: a ``ClosedLoop``.
+        equations: those of a ``ClosedLoop``.
         times: (m,) [s], strictly increasing, or one number.
         at: analysis point of margins and disk margin; None: the plant input.
 
     Raises BadArgument, UnknownPoint for ``at``.
     """
 
-    loop: ClosedLoop
+    equations: Equations
     times: Array
     at: str | None = None
     _cache: dict[str, Found] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.loop, ClosedLoop):
-            raise BadArgument("loop", self.loop, "a ClosedLoop")
         object.__setattr__(self, "times", checks.times(self.times))
-        law = self.loop.law
+        law = self.equations.law
         if self.at is not None and (not isinstance(self.at, str) or self.at not in law.opens_at):
             raise UnknownPoint(self.at, type(law).__name__, law.opens_at)
-        object.__setattr__(self, "at", self.loop.default_at if self.at is None else self.at)
+        object.__setattr__(self, "at", self.equations.actuator if self.at is None else self.at)
 
     # --- computed once -------------------------------------------------------------------------------------------
 
     @cached_property
     def linearization(self) -> Linearization:
         """The loop linearised about its reference at the times."""
-        return self.loop.linearize(self.times)
+        return linearize(self.equations, self.times)
 
     @cached_property
     def stability(self) -> Stability:
@@ -90,7 +92,7 @@ class Evidence:
 
     @cached_property
     def judged(self) -> Bools:
-        """(m,) where the roots that are not at zero are all inside, so that figures have a meaning."""
+        """(m,) where the roots that are not at zero are all inside, so that metrics have a meaning."""
         return np.asarray(self.stability.nonzero_stable & (self.spectrum.poles.shape[1] > self.spectrum.roots.count))
 
     @property
@@ -109,34 +111,35 @@ class Evidence:
         return self.linearization.disk_margin(self.at)
 
     @cached_property
-    def steps(self) -> StepFigures:
+    def steps(self) -> StepMetrics:
         """Settling and overshoot of every reference channel to its own coordinate."""
-        from mfc_analysis.linearization.tracking_steps import step_figures
+        from mfc_analysis.linearization.tracking_steps import step_metrics
 
-        return step_figures(self.linearization)
+        return step_metrics(self.linearization)
 
     @cached_property
     def run(self) -> Simulation:
         """The nonlinear run along the reference: over the times, or its duration, period, or 2 s where one time is given."""
         first, last = float(self.times[0]), float(self.times[-1])
         if last == first:
-            last = first + float(self.loop.ref.duration or self.loop.ref.period or HOLD_RUN)
+            ref = self.equations.reference_source
+            last = first + float(ref.duration or ref.period or HOLD_RUN)
         grid = np.union1d(np.linspace(first, last, RUN_POINTS), self.times)
-        return self.loop.simulate(grid)
+        return simulate(self.equations, grid, start_state(self.equations, first))
 
     @cached_property
     def spectrum(self) -> Spectrum:
         return spectrum(self.linearization.reduced)
 
-    # --- figures -------------------------------------------------------------------------------------------------
+    # --- metrics -------------------------------------------------------------------------------------------------
 
-    def found(self, figure: str) -> Found:
-        """A figure by the name of its requirement (``FIGURES``). Raises UnknownName."""
-        if figure not in FIGURES:
-            raise UnknownName("figure", figure, FIGURES)
-        if figure not in self._cache:
-            self._cache[figure] = FIGURES[figure](self)
-        return self._cache[figure]
+    def found(self, metric: str) -> Found:
+        """A metric by the name of its requirement (``METRICS``). Raises UnknownName."""
+        if metric not in METRICS:
+            raise UnknownName("metric", metric, METRICS)
+        if metric not in self._cache:
+            self._cache[metric] = METRICS[metric](self)
+        return self._cache[metric]
 
     def slowest_root(self) -> Found:
         """Rightmost real part [1/s] of the roots that are not at zero, dead time included; -inf where there is none."""
@@ -162,16 +165,16 @@ class Evidence:
         r is what is left of every rate at the operating point. What no rate changes stays where it is; inf where a root at zero lets the
         joints slide.
         """
-        loop, lin = self.loop, self.linearization
-        nominal = loop.nominal(self.times)
-        left = _left_over(loop, lin.point.x, self.times, nominal.v, nominal.a)
-        if np.abs(left).max(initial=0.0) <= ROUNDING * (GRAVITY + np.abs(nominal.a).max(initial=0.0)):
+        e, lin = self.equations, self.linearization
+        asked = nominal(e, self.times)
+        left = _left_over(e, lin.point.x, self.times, asked.v, asked.a)
+        if np.abs(left).max(initial=0.0) <= ROUNDING * (GRAVITY + np.abs(asked.a).max(initial=0.0)):
             return Found(0.0)
-        A = closed_matrix(loop.equations, self.times, lin.point.x, "state")
-        where = loop.equations.parts["q"].where
+        A = closed_matrix(e, self.times, lin.point.x, "state")
+        where = e.parts["q"].where
         moved = np.stack([_displacement(A[i], left[i], where) for i in range(len(self.times))])
         i, j = np.unravel_index(int(np.argmax(moved)), moved.shape)
-        return Found(float(moved[i, j]), loop.robot.joint_names[j], float(self.times[i]))
+        return Found(float(moved[i, j]), e.robot.joint_names[j], float(self.times[i]))
 
     def _joint_of(self, i: int, s: complex) -> str:
         """The joint (or state) that takes part most in the mode of root ``s``, by participation factors."""
@@ -184,7 +187,7 @@ class Evidence:
         left = np.linalg.pinv(right)[k]
         names = lin.state_names
         name = names[int(np.argmax(np.abs(right[:, k] * left)))]
-        joints = [j for j in self.loop.robot.joint_names if name.endswith(j)]
+        joints = [j for j in self.equations.robot.joint_names if name.endswith(j)]
         return max(joints, key=len) if joints else name
 
     def _unstable(self) -> Found:
@@ -195,7 +198,7 @@ class Evidence:
         return Found(np.nan, root.where, float(self.times[bad[0]]), f"unstable at {bad.size} of {self.times.size} times")
 
 
-# --- one function for each figure ------------------------------------------------------------------------------------
+# --- one function for each metric ------------------------------------------------------------------------------------
 
 
 def _margin(name: str, largest: bool = False) -> Callable[[Evidence], Found]:
@@ -263,29 +266,29 @@ def _tracking(e: Evidence) -> Found:
     run = e.run
     if run.diverged:
         return Found(np.nan, "", run.end, run.message)
-    names = tuple(f"X_e_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")) if e.loop.law.space == "tool" else e.loop.robot.joint_names
+    names = tuple(f"X_e_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")) if e.equations.law.space == "tool" else e.equations.robot.joint_names
     return _worst(np.abs(run.error), names, run.t, True)
 
 
 def _torque(e: Evidence) -> Found:
-    run, loop = e.run, e.loop
+    run, equations = e.run, e.equations
     if run.diverged:
         return Found(np.nan, "", run.end, run.message)
-    torque = loop.equations.actuator == "torque"
-    limit = np.array(loop.robot.limits.torque if torque else loop.robot.limits.velocity)
-    if torque and loop.equations.joints.torque_limit is not None:
-        limit = np.minimum(limit, loop.equations.joints.torque_limit)
+    torque = equations.actuator == "torque"
+    limit = np.array(equations.robot.limits.torque if torque else equations.robot.limits.velocity)
+    if torque and equations.joints.torque_limit is not None:
+        limit = np.minimum(limit, equations.joints.torque_limit)
     known = np.isfinite(limit)
     if not known.any():
         return Found(np.nan, "", None, f"the robot has no {'torque' if torque else 'velocity'} limits to compare with")
-    found = _worst(np.where(known, np.abs(run.command) / limit, 0.0), loop.robot.joint_names, run.t, True)
+    found = _worst(np.where(known, np.abs(run.command) / limit, 0.0), equations.robot.joint_names, run.t, True)
     what = "" if torque else "commanded velocity to its limit"
-    missing = [j for j, there in zip(loop.robot.joint_names, known, strict=True) if not there]
+    missing = [j for j, there in zip(equations.robot.joint_names, known, strict=True) if not there]
     return found._replace(note=what or (f"no limit known of {', '.join(missing)}" if missing else ""))
 
 
-#: figure (a field of ``Requirements``) -> how it is found
-FIGURES: dict[str, Callable[[Evidence], Found]] = {
+#: metric (a field of ``Requirements``) -> how it is found
+METRICS: dict[str, Callable[[Evidence], Found]] = {
     "gain_increase_db": _margin("gain_increase_db"),
     "gain_reduction_db": _margin("gain_reduction_db"),
     "phase_deg": _margin("phase_deg"),
@@ -303,9 +306,8 @@ FIGURES: dict[str, Callable[[Evidence], Found]] = {
 # --- what is left over at an operating point -------------------------------------------------------------------------
 
 
-def _left_over(loop: ClosedLoop, x: Array, times: Array, v: Array, a: Array) -> Array:
+def _left_over(equations: Equations, x: Array, times: Array, v: Array, a: Array) -> Array:
     """(m, nx) rates at the operating points less those of the reference's own motion."""
-    equations = loop.equations
     slots = equations.split(np.array(value(equations.rates(times, x))))
     torque = equations.actuator == "torque"
     for name, moving in (("q", v), ("theta", v), *((("v", a), ("omega", a)) if torque else ())):

@@ -2,12 +2,12 @@
 
 A verdict always has the line "stable". It is
 
-- FAIL where a limit is missed or a figure is not defined: NaN never passes;
+- FAIL where a limit is missed or a metric is not defined: NaN never passes;
 - WATCH where every limit is met with a reservation: the loop drifts, or the residual at its operating points matters;
 - PASS otherwise.
 
 A residual matters when the steady error it implies, abs(A^-1 r) of the linear loop, is above ``RESIDUAL_MATTERS`` [rad, m] (or above
-the tracking error asked for, if that is smaller): the figures then belong to a point at which the loop does not rest. Gravity
+the tracking error asked for, if that is smaller): the metrics then belong to a point at which the loop does not rest. Gravity
 under a law without model and integral is the usual case; where nothing holds the joint the implied error is infinite.
 """
 
@@ -178,7 +178,7 @@ class Requirements:
     The margins hold at every time and channel of the analysis point, one loop at a time with the others closed.
 
     Raises:
-        BadArgument: a value is not a number, not finite, or outside what the figure can be.
+        BadArgument: a value is not a number, not finite, or outside what the metric can be.
     """
 
     gain_increase_db: float | None = None  #: [dB] the gain may grow by at least this
@@ -222,7 +222,9 @@ class Requirements:
 
         Raises BadArgument (not a loop, times), UnknownPoint for ``at``, NearSingular.
         """
-        evidence = Evidence(loop, times, at)  # type: ignore[arg-type]
+        if not isinstance(loop, ClosedLoop):
+            raise BadArgument("loop", loop, "a ClosedLoop")
+        evidence = Evidence(loop.equations, checks.times(times), at)
         lines = [_stable(evidence)]
         lines += [compared(name, limit, evidence.found(name)) for name, limit in self.asked().items()]
         lines += _residual(evidence, self.tracking_error)
@@ -276,21 +278,21 @@ def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
     found = evidence.implied_error()
     if found.value <= limit:
         return []
-    unit = "rad/s or m/s" if evidence.loop.equations.actuator == "velocity" else "rad/s^2 or m/s^2"
+    unit = "rad/s or m/s" if evidence.equations.actuator == "velocity" else "rad/s^2 or m/s^2"
     largest = float(np.abs(evidence.linearization.residual).max(initial=0.0))
     note = f"the loop does not rest at its operating point: what is left there (residual {largest:.3g} {unit}) moves it this far"
     return [Line("residual", "error at rest", limit, found.value, "rad or m", limit - found.value, Status.WATCH, found.where, found.when, "≤", note)]
 
 
 def _notes(evidence: Evidence) -> tuple[str, ...]:
-    """Neutral roots, frozen time, dead time and idle integrals: what a reader of the figures must know."""
+    """Neutral roots, frozen time, dead time and idle integrals: what a reader of the metrics must know."""
     out, verdict, lin = [], evidence.stability, evidence.linearization
-    if not evidence.loop.ref.is_hold:
+    if not evidence.equations.reference_source.is_hold:
         out.append(
-            f"frozen-time figures on a moving reference (coordinates {lin.coordinates!r}); floquet() or transient_growth() say what motion does"
+            f"frozen-time metrics on a moving reference (coordinates {lin.coordinates!r}); floquet() or transient_growth() say what motion does"
         )
     if verdict.neutral.any():
-        out.append(f"neutral roots (free positions), left out of the figures: {int(verdict.neutral.max())}")
+        out.append(f"neutral roots (free positions), left out of the metrics: {int(verdict.neutral.max())}")
     if verdict.idle.any():
         out.append(f"integrals that act on nothing, left out: {int(verdict.idle.max())}")
     if verdict.drifts.any():

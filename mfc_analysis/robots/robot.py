@@ -203,11 +203,11 @@ class Robot:
         if self.payloads:
             parts.append(f"of which payload {sum(p.mass for p in self.payloads):.4g} kg")
         if np.any(self.viscous):
-            parts.append(f"viscous friction {_figures(self.viscous)}")
+            parts.append(f"viscous friction {_in_words(self.viscous)}")
         if np.any(self.coulomb):
-            parts.append(f"Coulomb friction {_figures(self.coulomb)} (tanh at {self.coulomb_speed:g})")
+            parts.append(f"Coulomb friction {_in_words(self.coulomb)} (tanh at {self.coulomb_speed:g})")
         if np.any(self.armature):
-            parts.append(f"armature {_figures(self.armature)}")
+            parts.append(f"armature {_in_words(self.armature)}")
         return ", ".join(parts)
 
     # --- changed copies --------------------------------------------------------------------------------------------------
@@ -449,5 +449,5 @@ def _frozen(values: Array) -> Array:
     return values
 
 
-def _figures(values: Array) -> str:
+def _in_words(values: Array) -> str:
     return f"{values[0]:g}" if np.all(values == values[0]) else "(" + ", ".join(f"{x:g}" for x in values) + ")"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,17 @@ class History:
         return np.asarray((w @ self.samples[i]) / w.sum())
 
 
+@dataclass(frozen=True, eq=False)
+class Late:
+    """A recorded signal as it arrives, a dead time later."""
+
+    signal: History
+    delay: float  #: [s]
+
+    def __call__(self, t: float) -> Array:
+        return self.signal.at(t - self.delay)
+
+
 def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
     """Method of steps: in a segment no longer than the shortest dead time, what arrives was sent in segments already done."""
     e, lose = run.equations, run.one_sided
@@ -57,7 +69,7 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
         return {name: history[name].at(t - d) for name, d in delays.items()}
 
     if e.actuator in delays:
-        run.arrived = lambda t: history[e.actuator].at(t - delays[e.actuator])
+        run.arrived = Late(history[e.actuator], delays[e.actuator])
 
     def rates(t: float, x: Array) -> Array:
         rates_now: Array = value(e.join(e.flow(t, x, Wires(arriving(t)), run.inputs(t), lose_contact=lose).rates))

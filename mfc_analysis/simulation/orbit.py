@@ -47,7 +47,7 @@ def floquet(e: Equations, period: float | None = None) -> Floquet:
     edges = np.linspace(0.0, float(T), STEPS + 1)
 
     def advance(x: Array) -> tuple[Array, Array]:
-        run = simulate(e, [0.0, float(T)], x, None, method="LSODA", **TIGHT)
+        run = simulate(e, [0.0, float(T)], x, method="LSODA", **TIGHT)
         if run.diverged:
             raise NotConverged(f"no periodic orbit found: {run.message}")
         return run.x[-1], period_map(transitions_along(e, run, edges))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,28 @@ from mfc_analysis.maths.expm import expm_integral
 from mfc_analysis.simulation.run import Run
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """The commands of the samples so far as they arrive: each held over a sample."""
+
+    sent: list[Array]  #: (n,) each
+    first: float  #: [s] when the first arrives
+    T: float  #: [s]
+
+    def __call__(self, t: float) -> Array:
+        return self.sent[min(max(int(np.floor((t - self.first) / self.T + 1e-9)), 0), len(self.sent) - 1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Constant:
+    """A piece of dense output that stays where it is."""
+
+    x: Array  #: (nx,)
+
+    def __call__(self, t: float) -> Array:
+        return self.x
 
 
 def run_sampled(run: Run, asked: Array, x0: Array) -> None:
@@ -29,7 +52,7 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
     sent: list[Array] = []  # commands of the samples so far
     whole, rest = int(np.floor(delay / T + 1e-9)), 0.0
     rest = delay - whole * T if delay - whole * T > 1e-9 * T else 0.0
-    run.arrived = lambda t: sent[min(max(int(np.floor((t - start - delay) / T + 1e-9)), 0), len(sent) - 1)]
+    run.arrived = Held(sent, start + delay, T)
     count = int(np.ceil((end - start) / T - 1e-9))
     for k in range(count):
         t = start + k * T
@@ -55,7 +78,7 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
             x = moved
         x[own] = own_next
     if start + count * T - end < 1e-9 * T:  # the run ends at a sampling instant: the law's own states have moved on
-        run.path.add(end, lambda t: x)
+        run.path.add(end, Constant(x))
 
 
 def _held_rates(run: Run, held: Array) -> Callable[[float, Array], Array]:

@@ -90,11 +90,11 @@ def simulate(
     equations: Equations,
     times: float | ArrayLike,
     x0: Array,
-    disturbance: ArrayLike | Callable[[float], ArrayLike] | None,
+    disturbance: ArrayLike | Callable[[float], ArrayLike] | None = None,
     *,
-    rtol: float,
-    atol: float,
-    method: str,
+    rtol: float = 1e-6,
+    atol: float = 1e-9,
+    method: str = "LSODA",
 ) -> Simulation:
     """The run behind ``ClosedLoop.simulate``, from the state ``x0`` (nx,). Raises BadArgument for bad input, and what the law raises at the start."""
     asked = _asked_times(times)

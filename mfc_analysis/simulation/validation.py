@@ -43,7 +43,7 @@ class Validation:
     t: Array  #: (N,) [s]
     nonlinear: Array  #: (N, n) joint deviations of the nonlinear run at ``size``
     linear: Array  #: (N, n) as the linear model predicts them
-    message: str = ""  #: why there are no figures (NaN), where a run did not reach its end
+    message: str = ""  #: why there are no metrics (NaN), where a run did not reach its end
 
     def __str__(self) -> str:
         if self.message:
@@ -65,7 +65,7 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
         raise BadArgument("seed", seed, "an integer >= 0")
     x0 = on_reference(e, np.zeros(1)).x[0]
     t = _grid(e, time)
-    base = simulate(e, t, x0, None, method="LSODA", **TIGHT)
+    base = simulate(e, t, x0, method="LSODA", **TIGHT)
     if base.diverged:
         return _nothing(time, size, e.n, base.message)
     direction = np.zeros(e.nx)
@@ -79,7 +79,7 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
 
     def compare(size: float, tight: bool = True) -> tuple[Array, Array] | None:
         try:
-            run = simulate(e, t, x0 + size * direction, None, method="LSODA", **(TIGHT if tight else {"rtol": 1e-7, "atol": 1e-10}))
+            run = simulate(e, t, x0 + size * direction, method="LSODA", **(TIGHT if tight else {"rtol": 1e-7, "atol": 1e-10}))
         except MfcError as why:
             stopped.append(str(why))
             return None

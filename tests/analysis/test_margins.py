@@ -17,12 +17,12 @@ from mfc_analysis.errors import UnknownPoint
 from tests.analysis.conftest import open_system, random_loops, scaled
 
 s = control.tf("s")
-FIGURES = ("gain_reduction", "gain_increase", "phase_deg", "delay", "sensitivity_peak", "crossover")
+METRICS = ("gain_reduction", "gain_increase", "phase_deg", "delay", "sensitivity_peak", "crossover")
 
 
 def of(L) -> dict[str, float]:
     found = margins(open_system(L), "torque")
-    return {name: float(getattr(found, name)[0, 0]) for name in FIGURES}
+    return {name: float(getattr(found, name)[0, 0]) for name in METRICS}
 
 
 def test_a_conditionally_stable_loop_has_a_lower_end():
@@ -42,7 +42,7 @@ def test_the_three_margins_of_a_third_order_loop():
 def test_an_unstable_pid_on_a_double_integrator_has_no_margins():
     found = margins(open_system((2 * s**2 + 2 * s + 10) / s**3), "torque")
     assert not found.stable[0]
-    assert all(np.isnan(getattr(found, name)).all() for name in FIGURES)
+    assert all(np.isnan(getattr(found, name)).all() for name in METRICS)
 
 
 def test_a_good_pid_on_a_double_integrator_fails_only_when_its_gain_falls():
@@ -115,7 +115,7 @@ def test_a_resonance_with_three_crossovers_gives_the_delay_of_the_last():
     assert_allclose(found.sensitivity_peak[0, 0], np.abs(1 / (1 + L(1j * grid))).max(), rtol=1e-6)
 
 
-def test_every_figure_is_the_largest_perturbation_a_random_loop_survives(rng):
+def test_every_metric_is_the_largest_perturbation_a_random_loop_survives(rng):
     system = random_loops(rng, m=60, nx=5, n=1)
     found = margins(system, "torque")
     assert found.stable.sum() > 15
@@ -144,7 +144,7 @@ def test_turning_the_loop_by_the_phase_margin_puts_a_pole_on_the_axis(rng):
     assert seen > 5
 
 
-def test_figures_equal_those_of_python_control_where_it_is_right(rng):
+def test_metrics_equal_those_of_python_control_where_it_is_right(rng):
     system = random_loops(rng, m=40, nx=4, n=1)
     found = margins(system, "torque")
     compared = 0
@@ -195,7 +195,7 @@ def test_stiff_loops_keep_their_digits():
     assert not stable(scaled(open_system(L), found["gain_increase"] * (1 + 1e-6)))
 
 
-def test_a_drifting_loop_keeps_the_figures_of_its_other_roots():
+def test_a_drifting_loop_keeps_the_metrics_of_its_other_roots():
     L = 25 / (s**3 + 10 * s**2 + 10 * s + 10)
     plain = open_system(L)
     drifting = with_zeros(plain, np.array([[0, 1], [0, 0.0]]), driven=0.0)
@@ -204,15 +204,15 @@ def test_a_drifting_loop_keeps_the_figures_of_its_other_roots():
     for other, drifts in ((drifting, True), (neutral, False)):
         found = margins(other, "torque")
         assert found.drifts[0] == drifts and found.stable[0] == (not drifts)
-        for name in FIGURES:
+        for name in METRICS:
             assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
 
 
-def test_a_sampled_drifting_loop_keeps_its_figures():
+def test_a_sampled_drifting_loop_keeps_its_metrics():
     plain = open_system(control.c2d(control.ss(2 / (s**3 + 3 * s**2 + 2 * s)), 0.05))
     found, expected = margins(with_zeros(plain, np.eye(1), driven=1.0), "torque"), margins(plain, "torque")
     assert found.stable[0]
-    for name in FIGURES:
+    for name in METRICS:
         assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-8)
 
 
@@ -252,7 +252,7 @@ def test_an_encoder_is_cut_with_its_rate():
         points=("position",),
     )
     found, expected = margins(system, "position"), margins(open_system((kp + kd * s) / (m * s**2)), "torque")
-    for name in FIGURES:
+    for name in METRICS:
         assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-10)
 
 
@@ -264,7 +264,7 @@ def test_an_unknown_point_lists_the_known_ones():
         margins(open_system(1 / s), "rate")
 
 
-def test_the_worst_figures_come_with_their_time_and_channel():
+def test_the_worst_metrics_come_with_their_time_and_channel():
     found = margins(open_system([k / (s**3 + 3 * s**2 + 2 * s) for k in (1.0, 3.0, 2.0, 7.0)]), "torque")
     worst = found.worst()
     assert worst.gain_increase[1:] == (1.0, "joint")
@@ -335,4 +335,4 @@ def _bisect_crossover(L, low: float, high: float) -> float:
 def test_results_hold_arrays_of_points_by_channels():
     found = margins(open_system(1 / s), "torque")
     assert isinstance(found, Margins)
-    assert all(getattr(found, name).shape == (1, 1) for name in FIGURES)
+    assert all(getattr(found, name).shape == (1, 1) for name in METRICS)

@@ -38,7 +38,7 @@ def test_a_second_order_loop_overshoots_as_its_damping_says(zeta):
     assert_allclose(found.settling, t[np.flatnonzero(np.abs(y - 1) > 0.02)[-1]], atol=2 * t[1])
 
 
-def test_the_figures_do_not_depend_on_the_duration_asked_for():
+def test_the_metrics_do_not_depend_on_the_duration_asked_for():
     system = open_system(49 / (s * (s + 3)))
     short, long = step(system, 0, "d", "y", duration=0.1), step(system, 0, "d", "y", duration=100.0)
     assert short.t[-1] == pytest.approx(0.1) and long.t[-1] == pytest.approx(100.0)
@@ -68,7 +68,7 @@ def test_a_response_that_returns_to_zero_settles_within_its_peak_and_has_no_rise
     assert np.isnan(found.rise) and np.isnan(found.overshoot) and found.settling > 0 and found.peak > 0
 
 
-def test_an_unstable_loop_has_no_figures_but_samples():
+def test_an_unstable_loop_has_no_metrics_but_samples():
     found = step(open_system(10 / (s**3 + 3 * s**2 + 2 * s)), 0, "d", "y")
     assert found.outcome is Outcome.GROWS
     assert all(np.isnan(x) for x in (found.steady_state, found.rise, found.settling, found.overshoot))
@@ -95,7 +95,7 @@ def driven_integrator():
     )
 
 
-def test_fast_and_slow_poles_together_keep_their_figures():
+def test_fast_and_slow_poles_together_keep_their_metrics():
     found = step(open_system(1e4 / (s * (s + 1e6))), 0, "d", "y")  # poles at -0.01 and -1e6
     assert_allclose(found.settling, np.log(50) / 0.01, rtol=1e-6)
 

@@ -31,7 +31,7 @@ def test_the_local_search_finds_a_worst_case_between_the_points_of_the_grid():
     assert found.case["x"] == pytest.approx(0.37, abs=1e-3)
 
 
-def test_an_unstable_case_is_worse_than_any_figure():
+def test_an_unstable_case_is_worse_than_any_metric():
     def build(ki):
         return mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.JointPID(5.0, ki, 2.0), mfc.trajectories.Hold([0.3]))
 
@@ -48,14 +48,14 @@ def test_cases_that_cannot_be_built_are_recorded_and_not_lost():
         design.worst_case(two_lags, {"gain": (1.0, 5.0), "lag": [-1.0, -2.0, -3.0]}, [0.0])
 
 
-def test_a_figure_of_ones_own_is_minimised():
+def test_a_metric_of_ones_own_is_minimised():
     found = design.worst_case(
         two_lags, {"gain": (1.0, 5.0), "lag": (1e-3, 2e-2)}, [0.0], lambda loop: -float(loop.linearize([0.0]).poles().real.max())
     )
     assert found.case["gain"] == pytest.approx(1.0)
 
 
-def test_bad_ranges_and_figures_are_refused():
+def test_bad_ranges_and_metrics_are_refused():
     with pytest.raises(UnknownName, match="phase_deg"):
         design.worst_case(two_lags, {"gain": (1.0, 5.0), "lag": (0.1, 0.2)}, [0.0], "phase")
     for named, arguments in (("build", (3, {"gain": (1, 2)})), ("points", (two_lags, {"gain": (1, 2)}))):

@@ -36,7 +36,7 @@ def test_the_poles_are_where_the_design_says(lag: float) -> None:
     w, z = found.natural_frequency, found.damping
     for pole in (w * (-z + 1j * np.sqrt(1 - z**2)), -found.pole):
         assert np.abs(poles - pole).min() < 1e-8 * abs(pole)
-    assert found.figures.crossover == pytest.approx(30.0, rel=1e-9)
+    assert found.metrics.crossover == pytest.approx(30.0, rel=1e-9)
 
 
 def test_a_jump_over_what_was_asked_is_refused_with_the_nearest() -> None:

@@ -99,7 +99,7 @@ def _ss(transfer):
 
 @pytest.mark.parametrize("asked", ["bandwidth", "natural_frequency", "crossover", "settling_time"])
 @pytest.mark.parametrize("kind", HELPERS)
-def test_every_figure_asked_for_is_the_one_achieved(kind: str, asked: str) -> None:
+def test_every_metric_asked_for_is_the_one_achieved(kind: str, asked: str) -> None:
     g = HELPERS[kind](**{asked: 3.7}, inertia=np.array([0.01, 40.0]))
     assert_allclose(getattr(g.achieved, asked), [3.7, 3.7], rtol=1e-9)
     assert_allclose(g.kp[1] / g.kp[0], 4000)
@@ -216,7 +216,7 @@ def test_force_gains_put_three_poles_at_the_natural_frequency() -> None:
 
 
 @pytest.mark.parametrize("asked", ["bandwidth", "crossover", "natural_frequency", "settling_time"])
-def test_force_gains_achieve_each_figure(asked: str) -> None:
+def test_force_gains_achieve_each_metric(asked: str) -> None:
     value = 0.4 if asked == "settling_time" else 40.0
     g = gains.force_pi(**{asked: value}, stiffness=2e3, mass=3.0, lag=2e-3)
     assert getattr(g.achieved, asked) == pytest.approx(value, rel=1e-6)

@@ -1,4 +1,4 @@
-"""Figures of scalar loops against closed forms and python-control."""
+"""Metrics of scalar loops against closed forms and python-control."""
 
 import math
 
@@ -6,19 +6,19 @@ import control
 import numpy as np
 import pytest
 
-from mfc_analysis.gains.scalar_loop import loop_figures
+from mfc_analysis.gains.scalar_loop import loop_metrics
 
 
 def test_an_integrator_has_its_gain_as_bandwidth_and_crossover() -> None:
-    f = loop_figures([5.0], [1.0, 0.0])
+    f = loop_metrics([5.0], [1.0, 0.0])
     assert (f.bandwidth, f.crossover) == (pytest.approx(5.0), pytest.approx(5.0))
     assert f.phase_deg == pytest.approx(90.0)
     assert f.settling_time == pytest.approx(math.log(50) / 5)
 
 
-def test_a_second_order_lag_has_the_textbook_figures() -> None:
+def test_a_second_order_lag_has_the_textbook_metrics() -> None:
     z, w = 0.3, 4.0  # L = w^2 / (s (s + 2 z w)): T = w^2 / (s^2 + 2 z w s + w^2)
-    f = loop_figures([w**2], [1.0, 2 * z * w, 0.0])
+    f = loop_metrics([w**2], [1.0, 2 * z * w, 0.0])
     assert f.bandwidth == pytest.approx(w * math.sqrt(1 - 2 * z**2 + math.sqrt((1 - 2 * z**2) ** 2 + 1)))
     assert f.crossover == pytest.approx(w * math.sqrt(math.sqrt(1 + 4 * z**4) - 2 * z**2))
     assert f.phase_deg == pytest.approx(math.degrees(math.atan2(2 * z * w, f.crossover)))
@@ -26,7 +26,7 @@ def test_a_second_order_lag_has_the_textbook_figures() -> None:
 
 @pytest.mark.parametrize(("num", "den"), [([25.0], [1, 10, 10, 0]), ([3.0, 3, 1], [1, 0, 0, 0]), ([2.0, 1], [0.1, 1, 0, 0])])
 def test_they_agree_with_python_control(num, den) -> None:
-    f = loop_figures(num, den)
+    f = loop_metrics(num, den)
     _, pm, _, wc = control.margin(control.tf(num, den))
     assert f.crossover == pytest.approx(wc, rel=1e-6)
     assert f.phase_deg == pytest.approx(pm, rel=1e-6)
@@ -37,21 +37,21 @@ def test_they_agree_with_python_control(num, den) -> None:
     assert f.settling_time == pytest.approx(t[np.flatnonzero(np.abs(y - 1) > 0.02)[-1]], abs=t[1])
 
 
-def test_an_unstable_loop_has_no_figures() -> None:
-    f = loop_figures([1.0], [1.0, 0.0, 0.0, 0.0])
+def test_an_unstable_loop_has_no_metrics() -> None:
+    f = loop_metrics([1.0], [1.0, 0.0, 0.0, 0.0])
     assert not f.stable
     assert math.isnan(f.bandwidth)
     assert math.isnan(f.settling_time)
 
 
 def test_a_loop_that_never_reaches_one_has_an_infinite_crossover_and_never_settles() -> None:
-    f = loop_figures([0.5], [1.0, 1.0])
+    f = loop_metrics([0.5], [1.0, 1.0])
     assert f.crossover == math.inf
     assert f.settling_time == math.inf
 
 
 def test_scale_does_not_matter() -> None:
-    slow, fast = loop_figures([3.0, 3, 1], [1, 0, 0, 0]), loop_figures([3e6, 3e12, 1e18], [1, 0, 0, 0])
+    slow, fast = loop_metrics([3.0, 3, 1], [1, 0, 0, 0]), loop_metrics([3e6, 3e12, 1e18], [1, 0, 0, 0])
     assert fast.bandwidth == pytest.approx(1e6 * slow.bandwidth, rel=1e-12)
     assert fast.settling_time == pytest.approx(1e-6 * slow.settling_time, rel=1e-9)
-    assert math.isnan(loop_figures([1.0], [1.0, 0.0], settle=False).settling_time)
+    assert math.isnan(loop_metrics([1.0], [1.0, 0.0], settle=False).settling_time)

@@ -101,8 +101,8 @@ def test_an_integral_that_acts_on_nothing_makes_no_joint_unstable() -> None:
 def test_margins_of_each_joint_alone_are_those_of_its_own_loop() -> None:
     lin = ClosedLoop(robots.rp(gravity=0.0), L.JointPID([30.0, 200.0], [5.0, 9.0], [8.0, 30.0]), Hold([0.4, 0.7])).linearize([0.0])
     alone, whole = lin.decentralised().margins(), lin.margins()
-    for figure in ("gain_reduction", "gain_increase", "phase_deg", "delay", "sensitivity_peak", "crossover"):
-        assert_allclose(getattr(alone, figure), getattr(whole, figure), rtol=1e-7)  # M is diagonal: nothing couples
+    for metric in ("gain_reduction", "gain_increase", "phase_deg", "delay", "sensitivity_peak", "crossover"):
+        assert_allclose(getattr(alone, metric), getattr(whole, metric), rtol=1e-7)  # M is diagonal: nothing couples
     one = ClosedLoop(robots.single_joint(), L.JointPID(2.0, 50.0, 1.0), Hold([0.4])).linearize([0.0]).decentralised().margins()
     assert not one.stable[0] and np.isnan(one.phase_deg).all()
 

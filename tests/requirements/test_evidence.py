@@ -1,4 +1,4 @@
-"""Figures and what a residual implies: closed forms, simulation, dead time, sampling."""
+"""Metrics and what a residual implies: closed forms, simulation, dead time, sampling."""
 
 import math
 
@@ -49,7 +49,7 @@ def test_dead_time_is_in_damping_and_in_the_rightmost_root():
     assert "rightmost" in verdict.line("damping_ratio").note
 
 
-def test_sampled_figures_tend_to_the_continuous_ones():
+def test_sampled_metrics_tend_to_the_continuous_ones():
     def made(**hardware):
         return mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.ComputedTorque(kp=100.0, kd=14.0), hold(), hardware=mfc.Hardware(**hardware))
 
@@ -78,19 +78,19 @@ def test_an_integral_force_loop_that_starts_at_the_wrong_force_moves_until_it_is
     assert Requirements().check(loop, [0.0]).line("residual").found == pytest.approx(4e-3, rel=1e-9)
 
 
-def test_figures_are_known_by_the_names_of_the_requirements():
-    evidence = Evidence(velocity_p(), [0.0])
+def test_metrics_are_known_by_the_names_of_the_requirements():
+    evidence = Evidence(velocity_p().equations, [0.0])
     assert evidence.found("phase_deg").value == pytest.approx(90.0)
     assert evidence.found("phase_deg") is evidence.found("phase_deg")
     with pytest.raises(UnknownName, match="phase_deg"):
         evidence.found("phase")
     with pytest.raises(BadArgument, match="loop"):
-        Evidence(3, [0.0])
+        mfc.Requirements(phase_deg=30).check(3, [0.0])
 
 
 def test_the_slowest_root_names_its_joint():
     robot = mfc.robots.ur5()
     gains = np.array([9.0, 8.0, 7.0, 1.0, 5.0, 4.0])
     loop = mfc.ClosedLoop(robot, mfc.laws.VelocityP(gains), hold(6))
-    found = Evidence(loop, [0.0]).slowest_root()
+    found = Evidence(loop.equations, [0.0]).slowest_root()
     assert found.value == pytest.approx(-1.0, rel=1e-12) and found.where == robot.joint_names[3] and found.note == "real"

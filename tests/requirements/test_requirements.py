@@ -1,4 +1,4 @@
-"""Requirements against loops whose figures are known in closed form, from both sides of each limit."""
+"""Requirements against loops whose metrics are known in closed form, from both sides of each limit."""
 
 import math
 
@@ -55,7 +55,7 @@ KNOWN = [
 
 
 def one_sided(field: str, value: float) -> tuple[Requirements, Requirements]:
-    """Requirements that a figure of this value meets by 0.1 %, and misses by 0.1 %."""
+    """Requirements that a metric of this value meets by 0.1 %, and misses by 0.1 %."""
     inside, outside = (0.999, 1.001) if KINDS[field].least else (1.001, 0.999)
     out = [value * inside, min(value * outside, KINDS[field].high)]
     return Requirements(**{field: out[0]}), Requirements(**{field: out[1]})
@@ -74,7 +74,7 @@ def test_closed_forms_are_found_and_limits_hold_from_both_sides(field, make, at,
 
 
 @pytest.mark.parametrize("field", [*KINDS])
-def test_every_figure_passes_at_a_thousandth_inside_and_fails_at_a_thousandth_outside(field):
+def test_every_metric_passes_at_a_thousandth_inside_and_fails_at_a_thousandth_outside(field):
     robot = mfc.robots.ur5()
     loop = mfc.ClosedLoop(
         robot.with_payload(2.0),
@@ -130,7 +130,7 @@ def test_nothing_but_neutral_roots_is_said_to_be_neutral_and_does_not_pass():
     assert verdict.status == "FAIL" and "neutral" in verdict.line("stable").note
 
 
-def test_a_drifting_loop_keeps_its_figures_and_is_watch_at_best():
+def test_a_drifting_loop_keeps_its_metrics_and_is_watch_at_best():
     law = mfc.laws.DampedForcePI([0, 0, 5, 0, 0, 0], kfp=2.0, kfi=3.0, kdamp=20.0)
     loop = mfc.ClosedLoop(mfc.robots.slider(), law, hold(q=0.0))  # 9.23 in free space: the speed ramps
     verdict = Requirements(phase_deg=45).check(loop, [0.0])
@@ -180,7 +180,7 @@ def test_a_moving_reference_is_said_to_be_judged_in_frozen_time():
         ("overshoot", "0.1"),
     ],
 )
-def test_values_that_no_figure_can_have_are_refused_by_name(field, bad):
+def test_values_that_no_metric_can_have_are_refused_by_name(field, bad):
     with pytest.raises(BadArgument) as why:
         Requirements(**{field: bad})
     assert why.value.argument == field

@@ -22,7 +22,7 @@ from mfc_analysis.analysis.delay.roots import Delayed, delayed_points, rightmost
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
 from mfc_analysis.analysis.frequency.resolvent import CONDITION
-from mfc_analysis.analysis.margin_metrics import FARTHEST, Figures, assembled, dc_sensitivity
+from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, assembled, dc_sensitivity
 from mfc_analysis.analysis.spectrum import Spectrum
 from mfc_analysis.analysis.system import OpenSystem
 
@@ -82,21 +82,21 @@ class _Point:
         return np.asarray(self.C @ np.linalg.solve(matrix, np.broadcast_to(self.B.astype(complex), (w.size, *self.B.shape))) + self.M)
 
 
-def delayed_figures(system: OpenSystem, at: str, judged: NDArray[np.bool_], known: Spectrum) -> Figures:
-    """The figures of all channels of the point ``at``, dead time exact; NaN where not judged."""
+def delayed_metrics(system: OpenSystem, at: str, judged: NDArray[np.bool_], known: Spectrum) -> MarginMetrics:
+    """The metrics of all channels of the point ``at``, dead time exact; NaN where not judged."""
     ch = channels(system, at)
-    figures = Figures(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
+    metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
     some = np.asarray(np.flatnonzero(judged), np.int64)
     if not some.size:
-        return figures
+        return metrics
     at_zero = dc_sensitivity(ch.at(some), known.roots.count[some])
     cut = delayed_points(system)
     for k, i in enumerate(some):
         one = _point(system, at, int(i))
-        found = _figures(one, ch.at(np.array([i])), cut[i], at_zero[k : k + 1], known.poles[i][~known.zero[i]])
-        for name, values in vars(figures).items():
+        found = _metrics(one, ch.at(np.array([i])), cut[i], at_zero[k : k + 1], known.poles[i][~known.zero[i]])
+        for name, values in vars(metrics).items():
             values[i] = found[name]
-    return figures
+    return metrics
 
 
 def _point(system: OpenSystem, at: str, index: int) -> _Point:
@@ -116,7 +116,7 @@ def _point(system: OpenSystem, at: str, index: int) -> _Point:
     return _Point(A, B, C, through[np.ix_(matter, matter)], system.wire_delay[matter], where[0], where[1] if len(where) > 1 else None, modes)
 
 
-def _figures(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: Complex) -> dict[str, Array]:
+def _metrics(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: Complex) -> dict[str, Array]:
     roots = rightmost(cut, 12)
     opened = [np.linalg.eigvals(ch.A[0] - np.outer(ch.B[0][:, i], ch.C[0][i]) / (1 + ch.H0[0, i])) for i in range(ch.H0.shape[1])]
     places = np.concatenate([poles, roots, *opened]).astype(np.complex128)
@@ -134,8 +134,8 @@ def _figures(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: C
         gain.append(_crossings(point, piece, H, gain=True))
         phase.append(_crossings(point, piece, H, gain=False))
         peaks = _peaks(point, piece, H, *peaks)
-        figures = assembled(_joined(gain), _joined(phase), at_zero, ch.H0, lambda x: x)
-        further = _needed(point, high, figures["gain_increase"][0])
+        metrics = assembled(_joined(gain), _joined(phase), at_zero, ch.H0, lambda x: x)
+        further = _needed(point, high, metrics["gain_increase"][0])
         if further <= high or piece.size >= MOST:
             break
         low_end, searched, high = high, np.array([high, further]), further
@@ -143,7 +143,7 @@ def _figures(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: C
     for end, place in zip(ends, (0.0, np.inf), strict=True):
         better = end >= peaks[0] * (1 - 1e-12)
         peaks = np.where(better, end, peaks[0]), np.where(better, place, peaks[1])
-    return {**figures, "sensitivity_peak": peaks[0][None], "peak_frequency": peaks[1][None]}
+    return {**metrics, "sensitivity_peak": peaks[0][None], "peak_frequency": peaks[1][None]}
 
 
 def _resolved(w: Array, low: float, high: float, longest: float) -> Array:

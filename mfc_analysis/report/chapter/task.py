@@ -273,7 +273,7 @@ def torque_section() -> Section:
         for point, m in at.items()
     )  # fmt: skip
     history = Figure(
-        partial(plots.margin_history, at["torque"], {"phase_deg": 45.0, "sensitivity_peak": 2.0}, figures=("phase_deg", "sensitivity_peak")),
+        partial(plots.margin_history, at["torque"], {"phase_deg": 45.0, "sensitivity_peak": 2.0}, metrics=("phase_deg", "sensitivity_peak")),
         "Margins at the torques along one period, unknown payload of 2 kg.",
         f"Margins along the path: least phase {worst['torque'][0]:.3g} degrees at {worst['torque'][1]:.3g} s ({worst['torque'][2]}).",
     )

@@ -263,7 +263,7 @@ def history(view: View, most: int = 4) -> Figure | None:
         "phase_deg",
     )
     return Figure(
-        partial(plots.margin_history, m, {k: v for k, v in asked.items() if k in _LIMITS}, figures=figures),
+        partial(plots.margin_history, m, {k: v for k, v in asked.items() if k in _LIMITS}, metrics=figures),
         f"Margins along the path, opened at “{view.point}”; dashed: what was asked; the ring marks the worst.",
         f"Margins of {view.name} against time: {said}.",
     )

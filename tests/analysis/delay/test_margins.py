@@ -55,7 +55,7 @@ def test_the_margins_of_a_vanishing_dead_time_are_those_without(rng):
     assert_allclose(late.gain_increase[finite], plain.gain_increase[finite], rtol=1e-5)
 
 
-def test_every_figure_is_the_largest_perturbation_the_loop_survives(rng):
+def test_every_metric_is_the_largest_perturbation_the_loop_survives(rng):
     system = replace(random_loops(rng, 14, 4, 2), wire_delay=np.array([0.11, 0.04]))
     found = margins(system, "torque")
     assert found.stable.sum() > 2
