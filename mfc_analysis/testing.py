@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
+from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.requirements.replay import replay
-from mfc_analysis.requirements.requirements import Line, Requirements, Status, Verdict
+from mfc_analysis.requirements.requirements import Requirements, Verdict
 
 if TYPE_CHECKING:
     from mfc_analysis.simulation.validation import Validation
@@ -183,7 +184,7 @@ def _sentence(line: Line) -> str:
 
 
 def _compared(name: str, label: str, asked: float, found: float, distance: float, met: bool, sense: str) -> Line:
-    return Line(name, label, asked, found, "", distance, Status.PASS if met else Status.FAIL, sense=sense)
+    return Line(name, asked, found, "", distance, Status.PASS if met else Status.FAIL, sense=sense, label=label)
 
 
 def _tell(asserted: Asserted) -> None:

@@ -20,7 +20,8 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.requirements.evidence import Evidence
-from mfc_analysis.requirements.requirements import Line, Requirements, Status
+from mfc_analysis.requirements.line import Line, Status
+from mfc_analysis.requirements.requirements import Requirements
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from mfc_analysis.study.limits import limits
 if TYPE_CHECKING:
     from mfc_analysis.design.searches import Limit
     from mfc_analysis.report.document.document import Document, Section
-    from mfc_analysis.requirements.requirements import Line
+    from mfc_analysis.requirements.line import Line
     from mfc_analysis.study.read import Study
 
 Progress = Callable[[str, int, int], None]
@@ -86,8 +86,9 @@ def document(study: Study, done: Callable[[str], None] | None = None, progress: 
 
 def ranges_section(found: LoopCheck) -> Section:
     """The worst line of each requirement over the ranges with the case it belongs to, and what came of each case."""
-    from mfc_analysis.report.document.document import Column, Section, Status, Table
+    from mfc_analysis.report.document.document import Column, Section, Table
     from mfc_analysis.report.loops.checks import checks
+    from mfc_analysis.requirements.line import Status
 
     worst, case = found.lines[0]
     lines = tuple(replace(line, where=", ".join(part for part in (line.where, said) if part)) for line, said in found.lines)
@@ -99,7 +100,7 @@ def ranges_section(found: LoopCheck) -> Section:
     table = Table(f"{which[:1].upper()}{which[1:]}, the worst first; the controller's model stays what it is.", columns, rows)
     finding = f"Of {found.cases} cases the worst is {case}: {worst.label} ({worst.place or 'everywhere'})."
     numbers = {"cases": found.cases, "worst": {line.name: {"found": line.found, "case": said} for line, said in found.lines}}
-    shown = checks(replace(found.verdicts[0][1], lines=lines))
+    shown = checks(lines)
     return Section(f"{found.loop.name}: over the ranges", finding, (table,), shown, numbers, loop=f"{found.loop.name}, over its ranges")
 
 

@@ -13,7 +13,6 @@ from mfc_analysis.errors import MfcError
 from mfc_analysis.report.document.document import (
     Block,
     Bullets,
-    Check,
     Code,
     Column,
     Document,
@@ -23,12 +22,14 @@ from mfc_analysis.report.document.document import (
     Paragraph,
     Scope,
     Section,
-    Status,
     Table,
+    found_of,
+    limit_of,
     written,
 )
 from mfc_analysis.report.document.provenance import provenance
 from mfc_analysis.report.loops.checks import checks
+from mfc_analysis.requirements.line import Line, Status
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
@@ -46,7 +47,7 @@ class Record:
     number: int  #: of the assertion within its test, from 0
     what: str  #: "assert_margins", ...
     loop: str  #: in words
-    checks: tuple[Check, ...]
+    checks: tuple[Line, ...]
     passed: bool
     notes: tuple[str, ...]
     replay: str
@@ -72,7 +73,7 @@ def record(asserted: Asserted, test: str, number: int) -> Record:
             number,
             asserted.what,
             str(asserted.loop),
-            checks(found),
+            checks(found.lines),
             asserted.passed,
             (),
             asserted.replay,
@@ -93,7 +94,7 @@ def record(asserted: Asserted, test: str, number: int) -> Record:
     asked = {line.name: line.asked for line in asserted.lines if line.name not in ("stable", "residual")}
     poles = np.array(evidence.linearization.poles()[i][:POLES])
     return Record(
-        test, number, asserted.what, str(asserted.loop), checks(found), asserted.passed, verdict.notes, asserted.replay, verdict.at,
+        test, number, asserted.what, str(asserted.loop), checks(found.lines), asserted.passed, verdict.notes, asserted.replay, verdict.at,
         np.array(verdict.times), asked, margins, poles, {},
     )  # fmt: skip
 
@@ -147,7 +148,7 @@ def _finding(r: Record) -> str:
     came = "holds" if r.passed else "failed"
     test = f"; the test {r.outcome}" if r.outcome in ("failed", "skipped") and r.passed else ""
     expected = "; the test passed, so this failure was expected and does not count" if not r.passed and r.outcome == "passed" else ""
-    return f"{r.what} {came}. Tightest: {worst.name} {worst.value} against {worst.limit}{place}{test}{expected}."
+    return f"{r.what} {came}. Tightest: {worst.label} {found_of(worst)} against {limit_of(worst)}{place}{test}{expected}."
 
 
 def _margins(r: Record) -> list[Block]:

@@ -1,1 +1,2 @@
-from .requirements import Line as Line, Requirements as Requirements, Status as Status, Verdict as Verdict
+from .line import Line as Line, Status as Status
+from .requirements import Requirements as Requirements, Verdict as Verdict

@@ -15,8 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from enum import StrEnum
-from math import inf, isnan, nan
+from math import inf, nan
 from typing import Any, Self
 
 import numpy as np
@@ -26,21 +25,9 @@ from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.requirements.evidence import Evidence, Found
+from mfc_analysis.requirements.line import Line, Status, worst
 
 RESIDUAL_MATTERS = 1e-3  #: [rad, m] implied steady error above which a verdict is WATCH at best
-
-
-class Status(StrEnum):
-    """What came of a check; compares with the word: ``verdict.status == "PASS"``."""
-
-    PASS = "PASS"
-    WATCH = "WATCH"
-    FAIL = "FAIL"
-
-    @property
-    def rank(self) -> int:
-        """0 (PASS) to 2 (FAIL): the larger, the worse."""
-        return ("PASS", "WATCH", "FAIL").index(self.value)
 
 
 @dataclass(frozen=True)
@@ -69,50 +56,6 @@ KINDS: Mapping[str, Kind] = {
 }
 
 
-@dataclass(frozen=True)
-class Line:
-    """One line of a verdict: a requirement, asked and found, at its worst place."""
-
-    name: str  #: field of ``Requirements``, or "stable", "residual"
-    label: str  #: in words
-    asked: float  #: the limit, in ``unit``
-    found: float  #: in ``unit``; NaN where it is not defined (the loop is unstable, ...)
-    unit: str
-    distance: float  #: how far inside the limit, in ``unit``; negative: missed; NaN: not defined
-    status: Status
-    where: str = ""  #: joint or channel
-    when: float | None = None  #: [s]
-    sense: str = "≥"  #: "≥" at least, "≤" at most, "<" below
-    note: str = ""
-
-    @property
-    def severity(self) -> tuple[int, float]:
-        """Sorts lines, worst last: by status, then by the distance to the limit relative to it."""
-        if self.status is Status.FAIL and self.name == "stable":
-            return self.status.rank + 1, inf
-        if isnan(self.distance):
-            return self.status.rank, inf
-        scale = abs(self.asked) or 1.0
-        return self.status.rank, -self.distance / scale
-
-    @property
-    def place(self) -> str:
-        """Where and when in words, empty if neither is known."""
-        at = "" if self.when is None else f"t = {self.when:.4g} s"
-        return ", ".join(part for part in (self.where, at) if part)
-
-    def __str__(self) -> str:
-        return "  ".join(cell for cell in self.cells() if cell)
-
-    def cells(self) -> tuple[str, ...]:
-        """Status, label, found, asked, distance, place, note: the row of the table."""
-        unit = f" {self.unit}" if self.unit else ""
-        found = "undefined" if isnan(self.found) else f"{self.found:.6g}{unit}"
-        asked = "" if isnan(self.asked) else f"{self.sense} {self.asked:.6g}{unit}"
-        distance = "" if isnan(self.distance) else f"{self.distance:+.3g}{unit}"
-        return self.status.value, self.label, found, asked, distance, self.place, self.note
-
-
 @dataclass(frozen=True, eq=False)
 class Verdict:
     """What came of asking: a line for each requirement, failures first, and the status of the worst."""
@@ -128,7 +71,7 @@ class Verdict:
     @property
     def status(self) -> Status:
         """The worst of the lines."""
-        return max((line.status for line in self.lines), key=lambda s: s.rank)
+        return worst([line.status for line in self.lines])
 
     @property
     def passed(self) -> bool:
@@ -245,7 +188,8 @@ def compared(name: str, limit: float, found: Found) -> Line:
     met = found.value >= limit if kind.least else found.value <= limit
     distance = found.value - limit if kind.least else limit - found.value
     status = Status.PASS if met else Status.FAIL
-    return Line(name, kind.label, limit, found.value, kind.unit, distance, status, found.where, found.when, "≥" if kind.least else "≤", found.note)
+    sense = "≥" if kind.least else "≤"
+    return Line(name, limit, found.value, kind.unit, distance, status, found.where, found.when, sense, label=kind.label, note=found.note)
 
 
 def _stable(evidence: Evidence) -> Line:
@@ -255,7 +199,7 @@ def _stable(evidence: Evidence) -> Line:
     if evidence.nothing_else:
         status = Status.WATCH if drifting.any() else Status.FAIL
         note = "drifts: a root at zero in a chain" if drifting.any() else f"neutral, not stable: {neutral} free positions and nothing else"
-        return Line("stable", "stable", 0.0, nan, "1/s", nan, status, "", float(evidence.times[0]), "<", note)
+        return Line("stable", 0.0, nan, "1/s", nan, status, "", float(evidence.times[0]), "<", note=note)
     root = evidence.slowest_root()
     notes = [f"neutral: {neutral} free position{'s' if neutral > 1 else ''}"] if neutral else []
     status = Status.PASS
@@ -269,7 +213,7 @@ def _stable(evidence: Evidence) -> Line:
         notes.append(f"drifts at {int(drifting.sum())} of {evidence.times.size} times, first t = {first:.4g} s: a position slides or a speed ramps")
     elif not verdict.stable.all():
         status = Status.FAIL
-    return Line("stable", "stable", 0.0, root.value, "1/s", -root.value, status, root.where, root.when, "<", "; ".join(notes))
+    return Line("stable", 0.0, root.value, "1/s", -root.value, status, root.where, root.when, "<", note="; ".join(notes))
 
 
 def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
@@ -281,7 +225,8 @@ def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
     unit = "rad/s or m/s" if evidence.equations.actuator == "velocity" else "rad/s^2 or m/s^2"
     largest = float(np.abs(evidence.linearization.residual).max(initial=0.0))
     note = f"the loop does not rest at its operating point: what is left there (residual {largest:.3g} {unit}) moves it this far"
-    return [Line("residual", "error at rest", limit, found.value, "rad or m", limit - found.value, Status.WATCH, found.where, found.when, "≤", note)]
+    distance = limit - found.value
+    return [Line("residual", limit, found.value, "rad or m", distance, Status.WATCH, found.where, found.when, "≤", label="error at rest", note=note)]
 
 
 def _notes(evidence: Evidence) -> tuple[str, ...]:

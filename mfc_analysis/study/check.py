@@ -12,7 +12,8 @@ from mfc_analysis.study.limits import limits
 
 if TYPE_CHECKING:
     from mfc_analysis.design.searches import Limit
-    from mfc_analysis.requirements.requirements import Line, Verdict
+    from mfc_analysis.requirements.line import Line
+    from mfc_analysis.requirements.requirements import Verdict
     from mfc_analysis.study.read import Study, StudyLoop
 
 COLUMNS = ("result", "requirement", "asked", "found", "where", "when", "case")

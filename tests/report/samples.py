@@ -10,7 +10,6 @@ import numpy as np
 from mfc_analysis import plots
 from mfc_analysis.report.document.document import (
     Callout,
-    Check,
     Column,
     Compare,
     Document,
@@ -26,11 +25,12 @@ from mfc_analysis.report.document.document import (
     Scrubber,
     Section,
     Side,
-    Status,
     Symbol,
     Table,
     Trace,
+    found_of,
 )
+from mfc_analysis.requirements.line import Line, Status
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +74,12 @@ def history(
     )
 
 
-def checks(overshoot: float = 15.9) -> tuple[Check, ...]:
+def checks(overshoot: float = 15.9) -> tuple[Line, ...]:
     return (
-        Check("phase margin", 45.0, 66.0, "°", 21.0, Status.PASS, "elbow", 0.3),
-        Check("gain increase", 6.0, 24.6, "dB", 18.6, Status.PASS, "elbow", 0.3),
-        Check("sensitivity peak", 1.7, 1.17, "", 0.53, Status.PASS, "elbow", 0.3, "≤"),
-        Check("overshoot", 10.0, overshoot, "%", 10 - overshoot, Status.FAIL if overshoot > 10 else Status.PASS, "elbow", 0.0, "≤"),
+        Line("phase margin", 45.0, 66.0, "°", 21.0, Status.PASS, "elbow", 0.3),
+        Line("gain increase", 6.0, 24.6, "dB", 18.6, Status.PASS, "elbow", 0.3),
+        Line("sensitivity peak", 1.7, 1.17, "", 0.53, Status.PASS, "elbow", 0.3, "≤"),
+        Line("overshoot", 10.0, overshoot, "%", 10 - overshoot, Status.FAIL if overshoot > 10 else Status.PASS, "elbow", 0.0, "≤"),
     )
 
 
@@ -186,15 +186,15 @@ def one_loop(name: str, phase: float, asked: float = 45.0) -> Section:
     """A loop's section with one figure and two checks: unstable if ``phase`` is NaN."""
     status = Status.PASS if phase >= asked else Status.FAIL
     found = (
-        Check("phase margin", asked, phase, "°", phase - asked, status, "elbow", 0.75),
-        Check(
+        Line("phase margin", asked, phase, "°", phase - asked, status, "elbow", 0.75),
+        Line(
             "gain reduction", 6.0, 19.08 if phase == phase else float("nan"), "dB", 13.08 if phase == phase else float("nan"), status, "elbow", 0.75
         ),
     )
     values = np.array([-3.0 + 4j, -3.0 - 4j, -5.0]) if phase == phase else np.array([1.0, -3.0])
     return Section(
         f"Computed torque: {name}",
-        (f"{name}: the phase margin is ", str(found[0].value), ", where ", Math("phi_m >= 45 degree"), " was asked."),
+        (f"{name}: the phase margin is ", str(found_of(found[0])), ", where ", Math("phi_m >= 45 degree"), " was asked."),
         (
             Equation(
                 r"tau = hat(M)(q)(dot.double(q)_d + K_p e + K_i integral e + K_d dot(e)) + hat(h)(q, dot(q))",

@@ -8,7 +8,8 @@ import pytest
 import mfc_analysis as mfc
 from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint
 from mfc_analysis.requirements.evidence import Found
-from mfc_analysis.requirements.requirements import KINDS, Line, Requirements, Status, compared
+from mfc_analysis.requirements.line import Line, Status
+from mfc_analysis.requirements.requirements import KINDS, Requirements, compared
 
 K = 5.0  # [1/s]
 W = 4.0  # [rad/s] of the triple pole

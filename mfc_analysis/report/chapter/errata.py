@@ -29,11 +29,11 @@ from mfc_analysis.report.document.document import (
     Paragraph,
     Section,
     Side,
-    Status,
     Table,
     Text,
     written,
 )
+from mfc_analysis.requirements.line import Status
 from mfc_analysis.trajectories import ToolHold
 
 Array = NDArray[np.float64]

@@ -18,7 +18,6 @@ from mfc_analysis.report.chapter.pieces import agreement, at_least, at_most, in_
 from mfc_analysis.report.document.document import (
     Callout,
     Cell,
-    Check,
     Column,
     Equation,
     Fact,
@@ -28,11 +27,11 @@ from mfc_analysis.report.document.document import (
     Number,
     Paragraph,
     Section,
-    Status,
     Table,
     Text,
     written,
 )
+from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold
 
@@ -392,11 +391,11 @@ def margin_numbers(lin: Linearization) -> dict[str, float]:
     return {name: float(getattr(m, name)[0, 2]) for name in names}
 
 
-def force_checks(lin: Linearization, phase: float, gain_db: float, peak: float) -> tuple[Check, ...]:
+def force_checks(lin: Linearization, phase: float, gain_db: float, peak: float) -> tuple[Line, ...]:
     """Checks of the force loop along z, under the names that all loops share."""
     m, slow = lin.margins("force"), slowest(lin.poles()[0]).real
     return (
-        Check("stable", 0.0, slow, "1/s", -slow, Status.PASS if bool(lin.stable[0]) else Status.FAIL, "", None, "<"),
+        Line("stable", 0.0, slow, "1/s", -slow, Status.PASS if bool(lin.stable[0]) else Status.FAIL, "", None, "<"),
         at_least("phase margin", phase, float(m.phase_deg[0, 2]), "°", "fz"),
         at_least("gain margin, up", gain_db, float(m.gain_increase_db[0, 2]), "dB", "fz"),
         at_least("gain margin, down", gain_db, float(m.gain_reduction_db[0, 2]), "dB", "fz"),

@@ -16,22 +16,9 @@ from mfc_analysis.errors import MfcError
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report.chapter.force import POSE, arm, arm_loop
 from mfc_analysis.report.chapter.pieces import LYNCH, agreement, at_least
-from mfc_analysis.report.document.document import (
-    Callout,
-    Column,
-    Equation,
-    Fact,
-    Figure,
-    KeyFacts,
-    Number,
-    Paragraph,
-    Row,
-    Section,
-    Status,
-    Table,
-    written,
-)
+from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Row, Section, Table, written
 from mfc_analysis.report.loops.checks import checks as as_checks
+from mfc_analysis.requirements.line import Status
 from mfc_analysis.requirements.requirements import Requirements
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.simulation.orbit import Floquet
@@ -236,7 +223,7 @@ def disk_section() -> Section:
         row,
         Callout(Status.INFO, "What alpha is", f"All torques: {all_.bound.value}. Torques and encoders: {both.bound.value}."),
     )
-    checks = as_checks(ASKED.check(loaded(), [0.0], at="torque"))
+    checks = as_checks(ASKED.check(loaded(), [0.0], at="torque").lines)
     numbers = {
         "alpha_torque": a,
         "alpha_both": b,

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from mfc_analysis import laws, plots
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report.chapter.arms import Arm, Designs, arms, decibels, triple_pole
-from mfc_analysis.report.document.document import Compare, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Row, Section, Side, Status, written
+from mfc_analysis.report.document.document import Compare, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Row, Section, Side, written
 from mfc_analysis.report.loops.view import View, place_words
+from mfc_analysis.requirements.line import Status
 from mfc_analysis.trajectories.joint import Hold
 
 Array = NDArray[np.float64]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from mfc_analysis import plots
 from mfc_analysis.plots.frequency import of_channel
-from mfc_analysis.report.document.document import Cell, Check, Column, Figure, Row, Status, Table, written
+from mfc_analysis.report.document.document import Cell, Column, Figure, Row, Table, written
+from mfc_analysis.requirements.line import Line, Status
 
 if TYPE_CHECKING:
     from mfc_analysis.linearization.linearization import Linearization
@@ -24,19 +25,19 @@ LYNCH = "Lynch & Park, Modern Robotics, ch. 11"
 SICILIANO = "Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control, ch. 8-9"
 
 
-def at_most(name: str, asked: float, found: float, unit: str = "", where: str = "", when: float | None = None) -> Check:
+def at_most(name: str, asked: float, found: float, unit: str = "", where: str = "", when: float | None = None) -> Line:
     """A check that ``found`` is not above ``asked``; a NaN fails."""
     status = Status.PASS if found <= asked else Status.FAIL
-    return Check(name, asked, found, unit, asked - found, status, where, when, "≤", "infinite", "not defined")
+    return Line(name, asked, found, unit, asked - found, status, where, when, "≤", "infinite", "not defined")
 
 
-def at_least(name: str, asked: float, found: float, unit: str = "", where: str = "", when: float | None = None) -> Check:
+def at_least(name: str, asked: float, found: float, unit: str = "", where: str = "", when: float | None = None) -> Line:
     """A check that ``found`` is not below ``asked``; a NaN fails."""
     status = Status.PASS if found >= asked else Status.FAIL
-    return Check(name, asked, found, unit, found - asked, status, where, when, "≥", "no limit", "unstable")
+    return Line(name, asked, found, unit, found - asked, status, where, when, "≥", "no limit", "unstable")
 
 
-def agreement(what: str, found: float, expected: float, percent: float) -> Check:
+def agreement(what: str, found: float, expected: float, percent: float) -> Line:
     """A check that a number differs from its closed form by at most ``percent`` [%] of that."""
     return at_most("departure from theory", percent, 100 * abs(found - expected) / abs(expected), "%", what)
 

@@ -15,23 +15,8 @@ from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report.chapter.force import KDAMP, KFI, KFP, MASS, POSE, SOURCES, Z, arm_loop, slider_loop
 from mfc_analysis.report.chapter.pieces import agreement, at_least, pole_map
-from mfc_analysis.report.document.document import (
-    Callout,
-    Check,
-    Column,
-    Equation,
-    Fact,
-    Figure,
-    KeyFacts,
-    Math,
-    Number,
-    Row,
-    Section,
-    Status,
-    Table,
-    Text,
-    written,
-)
+from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Row, Section, Table, Text, written
+from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.simulation.settling import settles
 
 Array = NDArray[np.float64]
@@ -56,7 +41,7 @@ class Mapped(NamedTuple):
         alt = f"Stability map, {title}: {said}; {self.agree} of {len(self.points)} simulated points agree."
         return Figure(draw, f"{title}: {said}.", alt)
 
-    def check(self) -> Check:
+    def check(self) -> Line:
         """That the simulated points agree with the map."""
         return at_least("simulated points that agree", float(len(self.points)), float(self.agree))
 
@@ -162,7 +147,7 @@ def lag_section() -> Section:
             )
         ),
     )
-    checks = (agreement("largest stiffness, torque lag", limit, wanted, 0.01), Check(*_both(lagged, real)))
+    checks = (agreement("largest stiffness, torque lag", limit, wanted, 0.01), Line(*_both(lagged, real)))
     numbers = {"limit": limit, "closed_form": wanted, "limit_with_delay_and_filter": real_limit, "points": lagged.points + real.points}
     return Section("Stiffness with lag, dead time and filter", finding, body, checks, numbers, SOURCES, key="stiffness-lag")
 

@@ -82,7 +82,7 @@ def velocity_section() -> Section:
         at_most("departure from theory", 1e-6, 100 * away / float(np.abs(first).max()), "%", "error over time"),
         at_most("departure from theory", 1e-6, float(np.abs(m.phase_deg[0] / 90 - 1).max()) * 100, "%", "phase margin 90°"),
         at_most("departure from theory", 1e-6, float(np.abs(m.delay[0] / (np.pi / (2 * k)) - 1).max()) * 100, "%", "delay margin π/(2k)"),
-        *as_checks(ASKED.check(loop, [0.0], at="command")),
+        *as_checks(ASKED.check(loop, [0.0], at="command").lines),
     )
     numbers = {
         "times": run.t,
@@ -286,7 +286,7 @@ def torque_section() -> Section:
     )
     checks = (
         at_most("departure from theory", 1e-6, 100 * away, "%", "error polynomial"),
-        *as_checks(ASKED.check(real, t, at="torque")),
+        *as_checks(ASKED.check(real, t, at="torque").lines),
     )
     numbers = {
         "times": t,

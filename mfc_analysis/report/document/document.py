@@ -16,30 +16,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any
 
 from mfc_analysis.errors import BadArgument
-
-
-class Status(StrEnum):
-    """What came of a check. INFO: nothing was asked."""
-
-    PASS = "PASS"
-    WATCH = "WATCH"
-    FAIL = "FAIL"
-    INFO = "INFO"
-
-    @property
-    def rank(self) -> int:
-        """0 (INFO) to 3 (FAIL): the larger, the worse."""
-        return ("INFO", "PASS", "WATCH", "FAIL").index(self.value)
-
-
-def worst(statuses: Sequence[Status]) -> Status:
-    """The worst of them; INFO when there is none."""
-    return max(statuses, key=lambda s: s.rank, default=Status.INFO)
-
+from mfc_analysis.requirements.line import Line, Status, worst
 
 # --- text --------------------------------------------------------------------------------------------------------
 
@@ -125,52 +105,19 @@ def written(value: float, digits: int = 3, infinite: str = "no limit", undefined
 # --- checks ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Check:
-    """One requirement on one loop: asked, found, and where and when it is worst."""
+def found_of(line: Line) -> Number:
+    """What was found."""
+    return Number(line.found, line.unit, infinite=line.infinite, undefined=line.undefined)
 
-    name: str  #: "phase margin"
-    asked: float  #: the limit, in ``unit``
-    found: float  #: the value, in ``unit``; NaN where the loop is unstable
-    unit: str
-    distance: float  #: how far inside the limit, in ``unit``; negative: missed; NaN: unstable
-    status: Status
-    where: str = ""  #: joint or channel
-    when: float | None = None  #: [s]
-    sense: str = "≥"  #: "≥": at least, "≤": at most, "<": below
-    infinite: str = "no limit"  #: the word for an infinite ``found``
-    undefined: str = "unstable"  #: the word for a NaN
 
-    @property
-    def place(self) -> str:
-        """Where and when, in words; empty if neither is known."""
-        at = "" if self.when is None else f"t = {written(round(self.when, 4), exact=True)} s"
-        return ", ".join(part for part in (self.where, at) if part)
+def limit_of(line: Line) -> Number:
+    """What was asked."""
+    return Number(line.asked, line.unit, sign=line.sense, exact=True)
 
-    @property
-    def value(self) -> Number:
-        """What was found."""
-        return Number(self.found, self.unit, infinite=self.infinite, undefined=self.undefined)
 
-    @property
-    def limit(self) -> Number:
-        """What was asked."""
-        return Number(self.asked, self.unit, sign=self.sense, exact=True)
-
-    @property
-    def margin(self) -> Number:
-        """The distance to the limit."""
-        return Number(self.distance, self.unit, infinite=self.infinite, undefined=self.undefined)
-
-    @property
-    def severity(self) -> tuple[int, float]:
-        """Sorts checks, worst last: by status, then by the relative distance to the limit; nothing is worse than a loop that isn't stable."""
-        if self.name == "stable" and self.status is Status.FAIL:
-            return self.status.rank + 1, math.inf
-        if math.isnan(self.distance):
-            return self.status.rank, math.inf
-        scale = abs(self.asked) if self.asked and math.isfinite(self.asked) else 1.0
-        return self.status.rank, -self.distance / scale
+def distance_of(line: Line) -> Number:
+    """How far inside the limit."""
+    return Number(line.distance, line.unit, infinite=line.infinite, undefined=line.undefined)
 
 
 # --- blocks ------------------------------------------------------------------------------------------------------
@@ -356,7 +303,7 @@ class Section:
     title: str
     finding: Text = ""
     body: tuple[Block, ...] = ()
-    checks: tuple[Check, ...] = ()
+    checks: tuple[Line, ...] = ()
     numbers: Mapping[str, Any] = field(default_factory=dict)  #: named numbers and arrays, for JSON
     sources: tuple[str, ...] = ()
     sections: tuple[Section, ...] = ()
@@ -379,7 +326,7 @@ class Section:
         own = [c.status for c in self.checks] + [s.judged for s in self.sections]
         return worst([*own, self.verdict] if self.verdict is not None else own)
 
-    def every_check(self) -> tuple[tuple[Section, Check], ...]:
+    def every_check(self) -> tuple[tuple[Section, Line], ...]:
         """Its checks and those of the sections within, each with the section it stands in."""
         inner = tuple(pair for s in self.sections for pair in s.every_check())
         return tuple((self, c) for c in self.checks) + inner

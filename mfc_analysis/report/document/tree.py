@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mfc_analysis.report.document import document as s, verdict as judged
+from mfc_analysis.requirements.line import Status
 
 SIGNS = {"PASS": "✓", "WATCH": "!", "FAIL": "✗", "INFO": "i"}
 
@@ -116,9 +117,9 @@ class _Builder:
         check = found.check
         facts = s.KeyFacts(
             (
-                s.Fact("What", check.name, found.section.loop or found.section.title),
-                s.Fact("Found", check.value),
-                s.Fact("Asked", check.limit),
+                s.Fact("What", check.label, found.section.loop or found.section.title),
+                s.Fact("Found", s.found_of(check)),
+                s.Fact("Asked", s.limit_of(check)),
                 s.Fact("Where", check.place or "everywhere"),
             )
         )
@@ -148,7 +149,7 @@ class _Builder:
             "id": key,
             "level": level,
             "title": section.title,
-            "status": section.status.value if section.status is not s.Status.INFO else "",
+            "status": section.status.value if section.status is not Status.INFO else "",
             "sign": SIGNS[section.status.value],
             "finding": self._text(section.finding),
             "blocks": blocks,
@@ -179,7 +180,7 @@ class _Builder:
         return key
 
     def _cell(self, cell: s.Cell) -> dict[str, Any]:
-        if isinstance(cell, s.Status):
+        if isinstance(cell, Status):
             return {"spans": [{"k": "text", "t": cell.value}], "status": cell.value, "sign": SIGNS[cell.value], "bare": False}
         if isinstance(cell, s.Number):
             cell = str(cell)

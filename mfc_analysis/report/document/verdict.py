@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from mfc_analysis.report.document.document import Check, Column, Document, Matrix, MatrixCell, Section, Status, Table, worst
+from mfc_analysis.report.document.document import Column, Document, Matrix, MatrixCell, Section, Table, distance_of, found_of, limit_of
+from mfc_analysis.requirements.line import Line, Status, worst
 
 RARE, MOST_COLUMNS = 0.2, 8  #: part of the loops that a check of a wide matrix must have for a column of its own
 
@@ -16,11 +17,11 @@ class Verdict:
     status: Status
     sentence: str
     detail: str
-    check: Check | None  #: the worst one
+    check: Line | None  #: the worst one
     section: Section | None  #: where it stands
 
 
-def every_check(document: Document) -> tuple[tuple[Section, Check], ...]:
+def every_check(document: Document) -> tuple[tuple[Section, Line], ...]:
     """All checks of a document, each with its section, in the order of the pages."""
     return tuple(pair for section in (*document.sections, *document.appendices) for pair in section.every_check())
 
@@ -56,7 +57,7 @@ def verdict(document: Document) -> Verdict:
     return Verdict(status, sentence, f"{lead}: {said(section, check)}.{spread}{beside}", check, section)
 
 
-def _beside(shown: list[tuple[Section, Check]]) -> str:
+def _beside(shown: list[tuple[Section, Line]]) -> str:
     """A sentence about the loops that stand in the document to show how they fail."""
     loops = dict.fromkeys(s.loop or s.title for s, _ in shown)
     if not loops:
@@ -67,13 +68,13 @@ def _beside(shown: list[tuple[Section, Check]]) -> str:
     return f"{lead}: {len(bad)} of {len(loops)} {'misses' if len(bad) == 1 else 'miss'} a limit."
 
 
-def said(section: Section, check: Check) -> str:
+def said(section: Section, check: Line) -> str:
     """One check in words: what, found, asked, where and when."""
     loop = section.loop or section.title
     place = f" ({check.place})" if check.place else ""
     asked = {"≥": "at least", "≤": "at most", "<": "below"}.get(check.sense, check.sense)
-    name = "rightmost root" if check.name == "stable" else check.name
-    return f"{name} of {loop}: {check.value} against {asked} {str(check.limit)[len(check.sense) :].strip()}{place}"
+    name = "rightmost root" if check.name == "stable" else check.label
+    return f"{name} of {loop}: {found_of(check)} against {asked} {str(limit_of(check))[len(check.sense) :].strip()}{place}"
 
 
 def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
@@ -81,7 +82,7 @@ def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
 
     Checks that only few loops have share the last column. A unit that all cells of a column have stands in its head.
     """
-    cells: dict[str, dict[str, tuple[Section, Check]]] = {}
+    cells: dict[str, dict[str, tuple[Section, Line]]] = {}
     first: dict[str, Section] = {}
     count: dict[str, int] = {}
     for top in document.sections:
@@ -91,10 +92,10 @@ def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
                 continue
             first.setdefault(loop, top if top.loop == loop else section)
             row = cells.setdefault(loop, {})
-            if check.name not in row:
-                count[check.name] = count.get(check.name, 0) + 1
-            if check.name not in row or check.severity > row[check.name][1].severity:
-                row[check.name] = (section, check)
+            if check.label not in row:
+                count[check.label] = count.get(check.label, 0) + 1
+            if check.label not in row or check.severity > row[check.label][1].severity:
+                row[check.label] = (section, check)
     if not cells:
         return None
     rare = [name for name, some in count.items() if some < len(cells) * RARE] if len(count) > MOST_COLUMNS else []
@@ -117,15 +118,17 @@ def requirements(section: Section) -> Table:
     rows = sorted(section.checks, key=lambda c: c.severity, reverse=True)
     columns = (Column("Check", numeric=False), Column("Found"), Column("Asked"), Column("Result"), Column("Distance"), Column("Where", numeric=False))
     return Table(
-        "What was asked of this loop, the worst first.", columns, tuple((c.name, c.value, c.limit, c.status, c.margin, c.place) for c in rows)
+        "What was asked of this loop, the worst first.",
+        columns,
+        tuple((c.label, found_of(c), limit_of(c), c.status, distance_of(c), c.place) for c in rows),
     )
 
 
-def _cell(pair: tuple[Section, Check] | None, keys: dict[int, str], what: str = "", unit: str | None = None) -> MatrixCell | None:
+def _cell(pair: tuple[Section, Line] | None, keys: dict[int, str], what: str = "", unit: str | None = None) -> MatrixCell | None:
     if pair is None:
         return None
     section, check = pair
-    value = str(replace(check.value, unit="")) if unit is not None else str(check.value)
+    value = str(replace(found_of(check), unit="")) if unit is not None else str(found_of(check))
     return MatrixCell(check.status, f"{what}: {value}" if what else value, keys[id(section)])
 
 

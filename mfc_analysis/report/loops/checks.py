@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from dataclasses import replace
 
-from mfc_analysis.report.document.document import Check, Status
-
-if TYPE_CHECKING:
-    from mfc_analysis.requirements.requirements import Line, Verdict
+from mfc_analysis.requirements.line import Line, Status
 
 _SHOWN = {
     "deg": ("°", 1.0),
@@ -18,25 +16,21 @@ _SHOWN = {
 _INFINITE = {"gain_increase_db": "no limit", "gain_reduction_db": "no limit", "phase_deg": "no crossover", "delay": "no crossover"}
 
 
-def checks(verdict: Verdict) -> tuple[Check, ...]:
-    """One check for each line of a verdict, in its order (failures first)."""
-    return tuple(_check(line) for line in verdict.lines)
+def checks(lines: Iterable[Line]) -> tuple[Line, ...]:
+    """The lines of a verdict in their order (failures first), in the units that a reader expects."""
+    return tuple(_shown(line) for line in lines)
 
 
-def _check(line: Line) -> Check:
+def _shown(line: Line) -> Line:
     unit, scale = _SHOWN.get(line.name) or _SHOWN.get(line.unit) or (line.unit, 1.0)
-    return Check(
-        line.label,
-        line.asked * scale,
-        line.found * scale,
-        unit,
-        line.distance * scale,
-        Status(line.status.value),
-        line.where,
-        line.when,
-        line.sense,
+    return replace(
+        line,
+        asked=line.asked * scale,
+        found=line.found * scale,
+        unit=unit,
+        distance=line.distance * scale,
         infinite=_INFINITE.get(line.name, "infinite"),
-        undefined="neutral" if _neutral(line) else "unstable" if line.status == "FAIL" else "not defined",
+        undefined="neutral" if _neutral(line) else "unstable" if line.status is Status.FAIL else "not defined",
     )
 
 

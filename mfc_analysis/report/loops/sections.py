@@ -25,13 +25,13 @@ from mfc_analysis.report.document.document import (
     Paragraph,
     Row,
     Section,
-    Status,
     Table,
     written,
 )
 from mfc_analysis.report.loops import blocks
 from mfc_analysis.report.loops.step_runs import GROWTH, step_run
 from mfc_analysis.report.loops.view import View
+from mfc_analysis.requirements.line import Status
 
 if TYPE_CHECKING:
     from mfc_analysis.laws.gain import Gain

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.report.document.document import Check, Number, written
+from mfc_analysis.report.document.document import Number, found_of, limit_of, written
 from mfc_analysis.report.loops.checks import checks
+from mfc_analysis.requirements.line import Line
 from mfc_analysis.requirements.requirements import Requirements, Verdict
 
 if TYPE_CHECKING:
@@ -76,9 +77,9 @@ class View:
         return self.evidence.margins
 
     @property
-    def checks(self) -> tuple[Check, ...]:
+    def checks(self) -> tuple[Line, ...]:
         """The lines of the verdict, in the units of a reader."""
-        return checks(self.verdict)
+        return checks(self.verdict.lines)
 
     @cached_property
     def stable(self) -> bool:
@@ -167,13 +168,13 @@ class View:
         said = checks[0]
         place = f" ({said.place})" if said.place else ""
         note = f": {line.note}" if line.note else ""
-        name = said.name[:1].upper() + said.name[1:]
+        name = said.label[:1].upper() + said.label[1:]
         if np.isnan(line.found):
-            return f"{name}: {said.value}{place}{note}."
+            return f"{name}: {found_of(said)}{place}{note}."
         if line.name == "stable":
             word = "Not stable" if line.status == "FAIL" else "Stable, with a reservation"
-            return f"{word}: the rightmost root is at {said.value}{place}{note}."
-        return f"{name} is {said.value} where {said.limit} was asked{place}{note}."
+            return f"{word}: the rightmost root is at {found_of(said)}{place}{note}."
+        return f"{name} is {found_of(said)} where {limit_of(said)} was asked{place}{note}."
 
     def tightest(self) -> str:
         """The margins at the worst place, in words."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from mfc_analysis.report.document import document as s
 from mfc_analysis.report.document.tree import Tree, every_block
+from mfc_analysis.requirements.line import Line
 
 
 def numbers(document: s.Document, tree: Tree, version: str) -> dict[str, Any]:
@@ -92,9 +93,9 @@ def _section(section: s.Section, plain_form: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _check(c: s.Check) -> dict[str, Any]:
+def _check(c: Line) -> dict[str, Any]:
     return {
-        "name": c.name,
+        "name": c.label,
         "sense": c.sense,
         "unit": c.unit,
         "asked": plain(c.asked),

@@ -12,10 +12,11 @@ import pytest
 from mfc_analysis.plots import figure as sheet
 from mfc_analysis.report.chapter import chapter, joint_torque, velocity
 from mfc_analysis.report.chapter.arms import Designs, arms
-from mfc_analysis.report.document.document import Document, Status
+from mfc_analysis.report.document.document import Document
 from mfc_analysis.report.document.tree import tree
 from mfc_analysis.report.document.verdict import verdict
 from mfc_analysis.report.render.write import rendered
+from mfc_analysis.requirements.line import Status
 from tests.plots.test_figure import texts
 
 LOOP = "9.8 independent PID, planar 2R"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mfc_analysis.report.chapter.pieces import agreement, at_least, at_most, in_words, pole_map, poles_table, slowest, verdict_of
-from mfc_analysis.report.document.document import Status
+from mfc_analysis.requirements.line import Status
 
 
 def test_checks_pass_on_the_limit_and_fail_beyond_it() -> None:

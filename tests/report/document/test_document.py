@@ -7,7 +7,8 @@ from functools import partial
 import pytest
 
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.report.document.document import Check, Column, Equation, Figure, Math, Number, Section, Status, Table, worst, written
+from mfc_analysis.report.document.document import Column, Equation, Figure, Math, Number, Section, Table, written
+from mfc_analysis.requirements.line import Line, Status, worst
 
 INF, NAN = float("inf"), float("nan")
 
@@ -62,7 +63,7 @@ def test_a_row_of_a_table_has_a_cell_for_each_column():
 
 
 def check(status, distance, asked=10.0):
-    return Check("x", asked, asked + distance, "dB", distance, status)
+    return Line("x", asked, asked + distance, "dB", distance, status)
 
 
 def test_the_worst_status_wins_and_none_is_info():

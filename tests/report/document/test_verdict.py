@@ -6,9 +6,10 @@ import json
 
 import pytest
 
-from mfc_analysis.report.document.document import Check, Document, Section, Status
+from mfc_analysis.report.document.document import Document, Section
 from mfc_analysis.report.document.verdict import matrix, requirements, verdict
 from mfc_analysis.report.render.write import rendered
+from mfc_analysis.requirements.line import Line, Status
 from tests.report import samples
 
 NAN = float("nan")
@@ -45,7 +46,7 @@ def test_nothing_asked_is_no_pass():
 
 
 def test_a_section_with_a_verdict_of_its_own_keeps_the_banner_from_passing():
-    checks = (Check("x", 1.0, 2.0, "", 1.0, Status.PASS),)
+    checks = (Line("x", 1.0, 2.0, "", 1.0, Status.PASS),)
     found = verdict(Document("t", "s", (Section("one", checks=checks), Section("two", verdict=Status.WATCH))))
     assert found.status is Status.WATCH and "reservation" in found.sentence
 
@@ -59,8 +60,8 @@ def test_every_cell_of_the_matrix_leads_to_the_section_of_its_check():
 
 
 def test_checks_that_few_loops_have_share_a_column_of_a_wide_matrix():
-    common = tuple(Check(f"c{i}", 1.0, 2.0, "", 1.0, Status.PASS) for i in range(8))
-    odd = Check("odd", 1.0, 0.5, "m", -0.5, Status.FAIL)
+    common = tuple(Line(f"c{i}", 1.0, 2.0, "", 1.0, Status.PASS) for i in range(8))
+    odd = Line("odd", 1.0, 0.5, "m", -0.5, Status.FAIL)
     sections = tuple(Section(f"s{i}", checks=(*common, odd) if i == 0 else common, loop=f"s{i}") for i in range(6))
     found = matrix(Document("t", "s", sections), {id(s): s.title for s in sections})
     assert found.columns == (*(f"c{i}" for i in range(8)), "other checks")
@@ -68,8 +69,8 @@ def test_checks_that_few_loops_have_share_a_column_of_a_wide_matrix():
 
 
 def test_loops_that_are_only_shown_keep_their_status_and_leave_the_banner_alone():
-    bad = Check("x", 1.0, 0.0, "", -1.0, Status.FAIL)
-    good = Check("x", 1.0, 2.0, "", 1.0, Status.PASS)
+    bad = Line("x", 1.0, 0.0, "", -1.0, Status.FAIL)
+    good = Line("x", 1.0, 2.0, "", 1.0, Status.PASS)
     shown = Section("open", checks=(bad,), loop="open", shown="open loop")
     document = Document("t", "s", (Section("used", checks=(good,), loop="used"), Section("law", sections=(shown,))))
     found = verdict(document)
@@ -80,7 +81,7 @@ def test_loops_that_are_only_shown_keep_their_status_and_leave_the_banner_alone(
 
 
 def test_two_checks_in_one_cell_show_the_worse():
-    good, bad = (Check("x", 1.0, 1 + d, "", d, s) for d, s in ((1.0, Status.PASS), (-0.5, Status.FAIL)))
+    good, bad = (Line("x", 1.0, 1 + d, "", d, s) for d, s in ((1.0, Status.PASS), (-0.5, Status.FAIL)))
     sections = (Section("a", checks=(good,), loop="L"), Section("b", checks=(bad,), loop="L"))
     found = matrix(Document("t", "s", sections), {id(s): s.title for s in sections})
     assert found.rows[0][2][0].status is Status.FAIL and found.rows[0][2][0].target == "b"
