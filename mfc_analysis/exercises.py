@@ -16,17 +16,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument, NotConverged
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 
 if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.plots.figure import Axes
     from mfc_analysis.simulation.simulation import Simulation
 
-Array = NDArray[np.float64]
 
 QUINTIC_TOP_SPEED = 1.875  #: top speed of a quintic over its mean speed
 SETTLED = 0.02  #: of the way: the band that settling means

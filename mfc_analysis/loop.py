@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.equations import Equations, refuse_what_does_not_apply
@@ -18,6 +18,7 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import Law
 from mfc_analysis.linearization.linearization import About, Linearization, linearize
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
 from mfc_analysis.robots.robot import Robot
 
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
     from mfc_analysis.simulation.orbit import Floquet
     from mfc_analysis.simulation.simulation import Simulation
     from mfc_analysis.simulation.validation import Validation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

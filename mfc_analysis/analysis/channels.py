@@ -14,12 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import UnknownPoint
-
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array, Bools, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +32,11 @@ class Channels:
     dt: float  #: [s] 0: continuous
 
     @property
-    def empty(self) -> NDArray[np.bool_]:
+    def empty(self) -> Bools:
         """(m, n) where L_i is identically zero: nothing goes into the wire, or nothing comes out of it."""
         return np.asarray((self.H0 == 0) & ~(self.B.any(axis=1) & self.C.any(axis=2)))
 
-    def at(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Channels:
+    def at(self, index: Ints | Bools) -> Channels:
         """The same channels at some of the points."""
         return replace(self, A=self.A[index], B=self.B[index], C=self.C[index], H0=self.H0[index])
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest
 from mfc_analysis.analysis.frequency.sensitivity import Opened, opened, sensitivity, sensitivity_at_infinity
@@ -29,10 +29,7 @@ from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
+from mfc_analysis.maths.arrays import Array, Bools, Complex
 
 EXACT = 1e-6  #: relative gap of the bounds of mu below which alpha is called exact
 CLIMB = 3  #: parabolas with which the highest frequency of the grid is refined

@@ -6,14 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.zero_roots import without_zero_roots
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from mfc_analysis.maths.arrays import Array, Bools, Ints
 
 FARTHEST = 1e9  #: a gain beyond this is infinite, one below its inverse zero
 
@@ -34,7 +31,7 @@ class MarginMetrics:
     peak_frequency: Array  #: [rad/s] 0 and inf are possible
 
 
-def put(metrics: MarginMetrics, index: NDArray[np.int64], found: MarginMetrics) -> None:
+def put(metrics: MarginMetrics, index: Ints, found: MarginMetrics) -> None:
     for name, values in vars(metrics).items():
         values[index] = getattr(found, name)
 
@@ -62,7 +59,7 @@ def frequency(w: Array, dt: float) -> Array:
     return np.asarray(2 * np.arctan(w) / dt) if dt else w
 
 
-def dc_sensitivity(ch: Channels, zeros: NDArray[np.int64]) -> Array:
+def dc_sensitivity(ch: Channels, zeros: Ints) -> Array:
     """S_i(0) - 1 (m, n), the ``zeros`` (m,) roots at zero taken out; NaN where a channel sees them after all."""
     out = np.full(ch.H0.shape, np.nan)
     for count in np.unique(zeros):
@@ -124,7 +121,7 @@ def assembled(gain: Crossings, phase: Crossings, at_zero: Array, at_infinity: Ar
     }
 
 
-def _least(best: Array, best_at: Array, point: NDArray[np.int64], channel: NDArray[np.int64], value: Array, at: Array) -> None:
+def _least(best: Array, best_at: Array, point: Ints, channel: Ints, value: Array, at: Array) -> None:
     """best[point, channel] = the least of itself and the values (NaN: none), best_at where that is."""
     some = np.isfinite(value)
     order = np.argsort(-value[some], kind="stable")  # of several for one place the last written, the least, stays

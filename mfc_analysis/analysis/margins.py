@@ -25,9 +25,7 @@ from mfc_analysis.analysis.margin_metrics import MarginMetrics, assembled, chann
 from mfc_analysis.analysis.spectrum import Spectrum, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from mfc_analysis.maths.arrays import Array, Bools
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,8 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from mfc_analysis.maths.arrays import Array, Complex
 
 SWEEPS = 4  #: of Osborne's balancing; it is within a few percent of the infimum
 POLISH = 14  #: iterations of the polish; where the largest singular value is simple it gains half a digit in each

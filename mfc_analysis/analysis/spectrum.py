@@ -9,14 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.analysis.zero_roots import ZeroRoots, nonzero_roots, zero_roots
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Complex = NDArray[np.complex128]
+from mfc_analysis.maths.arrays import Array, Bools, Complex
 
 UNDAMPED = 1e-10  #: a root whose real part is below this part of its modulus counts as undamped: not stable
 

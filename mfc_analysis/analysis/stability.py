@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.delay.roots import delay_roots, delay_stable
 from mfc_analysis.analysis.spectrum import Spectrum, inside, spectrum
 from mfc_analysis.analysis.system import OpenSystem, without_idle
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from mfc_analysis.maths.arrays import Array, Bools, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,10 +17,10 @@ class Stability:
     """The verdict at m points, dead time included."""
 
     stable: Bools  #: (m,) every root that is not neutral lies inside, nothing drifts, and there is more than neutral roots
-    neutral: NDArray[np.int64]  #: (m,) semisimple roots at zero (free positions)
+    neutral: Ints  #: (m,) semisimple roots at zero (free positions)
     drifts: Bools  #: (m,) a Jordan chain at zero: a position that slides, a speed that ramps
     nonzero_stable: Bools  #: (m,) the roots that are not at zero all lie inside: what margins and searches judge
-    idle: NDArray[np.int64]  #: (m,) integrals that act on nothing, left out of the verdict
+    idle: Ints  #: (m,) integrals that act on nothing, left out of the verdict
 
 
 def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:

@@ -18,9 +18,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array, Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +75,7 @@ class OpenSystem:
         return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index], continuous=behind)
 
 
-def close_wires(system: OpenSystem, keep: NDArray[np.bool_] | None = None) -> tuple[Array, Array, Array, Array]:
+def close_wires(system: OpenSystem, keep: Bools | None = None) -> tuple[Array, Array, Array, Array]:
     """A, B, C, D with the wires closed (dead time left out), except those in the mask ``keep`` (nw,), which stay cut.
 
     The kept wires remain the last columns of B and D and the last rows of C and D, in their order.

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 ROUNDED = 4e-15  #: an entry below this part of the largest one in its row is rounding
 RANK = 1e-10  #: singular values below this, where rows and columns have maximum one, are zero
@@ -23,10 +22,10 @@ ANGLE = 1e-8  #: cosines between left and right null spaces below this are zero
 class ZeroRoots:
     """Roots at zero of m matrices."""
 
-    dropped: NDArray[np.int64]  #: (m,) integrals that act on nothing
-    neutral: NDArray[np.int64]  #: (m,) semisimple roots at zero among the others
-    drifts: NDArray[np.bool_]  #: (m,) a Jordan chain at zero among the others
-    count: NDArray[np.int64]  #: (m,) all roots at zero with multiplicity, the dropped ones included
+    dropped: Ints  #: (m,) integrals that act on nothing
+    neutral: Ints  #: (m,) semisimple roots at zero among the others
+    drifts: Bools  #: (m,) a Jordan chain at zero among the others
+    count: Ints  #: (m,) all roots at zero with multiplicity, the dropped ones included
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,7 @@ def _scaled(A: Array) -> tuple[Array, Array, Array]:
     return np.where(size > 0, A, 0.0) * r[..., :, None] * c[..., None, :], r, c
 
 
-def surely_regular(A: Array) -> NDArray[np.bool_]:
+def surely_regular(A: Array) -> Bools:
     """(m,) True where A (m, nx, nx) has full rank by a wide margin: the inverse of its scaled form is small."""
     E, _, _ = equilibrated(A)
     try:
@@ -115,7 +114,7 @@ def without_zero_roots(A: Array, B: Array, C: Array, count: int | None = None) -
     )
 
 
-def nonzero_roots(A: Array, count: int) -> NDArray[np.complex128]:
+def nonzero_roots(A: Array, count: int) -> Complex:
     """The (nx - count,) eigenvalues of A (nx, nx) that are not at zero; ``count`` of ``ZeroRoots``."""
     found = np.linalg.eigvals(without_zero_roots(A, np.zeros((len(A), 0)), np.zeros((0, len(A))), count).A)
     assert found.size == len(A) - count

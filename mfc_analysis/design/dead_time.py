@@ -7,17 +7,16 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.stability import growth
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array, Bools
 
 if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +28,7 @@ class DelayMap:
     growth: Array  #: (g, d) [1/s] largest real part of the roots that are not at zero; negative: stable
 
     @property
-    def stable(self) -> NDArray[np.bool_]:
+    def stable(self) -> Bools:
         """(g, d)."""
         return np.asarray(self.growth < 0)
 

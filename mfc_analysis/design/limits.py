@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.design.searches import Bracket, Limit, Outcome, first_loss, scan, shown
 from mfc_analysis.design.worst_case import WorstCase, worst_case
@@ -19,11 +19,10 @@ from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.requirements.evidence import Evidence
 from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.requirements.requirements import Requirements
-
-Array = NDArray[np.float64]
 
 __all__ = ["Limit", "Outcome", "WorstCase", "max_bandwidth", "max_delay", "max_payload", "max_stiffness", "min_sample_rate", "worst_case"]
 

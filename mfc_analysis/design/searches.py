@@ -12,14 +12,13 @@ from enum import Enum
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths.arrays import Array
 
 if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
 
-Array = NDArray[np.float64]
 
 STEPS = 8  #: of the scan, a decade
 CLOSE = 1e-7  #: relative width at which bisection ends

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.spectrum import poles as poles_of
 from mfc_analysis.analysis.stability import Stability, growth, stability
@@ -21,13 +21,12 @@ from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.dynamics.environment import stiffened
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array, Bools, Complex
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
     from mfc_analysis.loop import ClosedLoop
 
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _APART = (1e3, 2e3)  #: [N/m] the two stiffnesses that are linearised: of the order of what is asked, so that rounding stays small
 
@@ -40,7 +39,7 @@ class StiffnessSweep:
     opened: OpenSystem  #: the loop with every wire cut; its m points are the stiffnesses
 
     @cached_property
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> Complex:
         """(k, nx) closed-loop poles [1/s], slowest first; dead time left out."""
         return poles_of(self.opened)
 

@@ -9,16 +9,16 @@ from math import inf, isnan
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument, MfcError, UnknownName
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.requirements.evidence import METRICS, Evidence
 from mfc_analysis.requirements.replay import replay
 from mfc_analysis.requirements.requirements import KINDS
 
-Array = NDArray[np.float64]
 Case = dict[str, float]
 
 SHRINKS = 12  #: halvings of the local search's step

@@ -12,15 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, concatenate, matvec, times, value
 from mfc_analysis.maths.se3 import Pose, hat, log3, log_rate, pose_matrix
 from mfc_analysis.robots.primitives import Primitives
-
-Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 

@@ -11,16 +11,15 @@ from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, reference_channels
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, concatenate, value
 from mfc_analysis.maths.se3 import bracket, log_rate
 
-Array = NDArray[np.float64]
 Coordinates = Literal["state", "error"]
 
 

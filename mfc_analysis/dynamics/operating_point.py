@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, solve_command_for_slots, timed
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.errors import MfcWarning, NotConverged, Unsupported
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, value
 from mfc_analysis.trajectories.inverse_kinematics import follow
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires
@@ -14,9 +14,8 @@ from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
 from mfc_analysis.dynamics.operating_point import at_rest, nominal
 from mfc_analysis.errors import Unsupported
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array, Complex
 from mfc_analysis.maths.dual import Dual, value
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +50,13 @@ class QuasiStatic:
         return out
 
 
-def _massless(e: Equations, A: Array, B: Array, C: Array, D: Array) -> Callable[[complex], NDArray[np.complex128]]:
+def _massless(e: Equations, A: Array, B: Array, C: Array, D: Array) -> Callable[[complex], Complex]:
     """Transfer F_d -> F_tip with M q'' left out of the torque balance: the rows of v' say 0 = torques."""
     v = e.parts["v"].where
     left = np.eye(len(A))
     left[v, v] = 0.0
 
-    def at(s: complex) -> NDArray[np.complex128]:
+    def at(s: complex) -> Complex:
         found = np.linalg.lstsq(s * left - A, B.astype(complex), rcond=1e-12)[0]
         return np.asarray(C @ found + D)
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.operating_point import nominal, on_reference
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
-
-Array = NDArray[np.float64]
 
 
 def start_state(

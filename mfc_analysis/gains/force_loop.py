@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.gains.scalar_loop import LoopMetrics, loop_metrics
+from mfc_analysis.maths.arrays import Array
 
 _FAST = 1e3  # how far, as a factor of frequency, a bandwidth is sought above the loop with kfp = 0 and its poles together
 
@@ -171,7 +171,7 @@ def _finished(name: str, value: float, placed: Placed, k: float, m: float, T: fl
     return ForceDesign(kfp, kfi, kdamp, w, zeta, p, metrics, tracking, stiffness_range(kfp, kfi, kdamp, m, T, b))
 
 
-def _unattainable(name: str, value: float, known: NDArray[np.float64], k: float, m: float, T: float, b: float, zeta: float) -> BadArgument:
+def _unattainable(name: str, value: float, known: Array, k: float, m: float, T: float, b: float, zeta: float) -> BadArgument:
     fine = known[np.isfinite(known)]
     if not fine.size:
         _placed(*_family(1e-3, k, m, T, b, zeta), k, m, T, b, zeta)  # raises with its own reason

@@ -27,18 +27,18 @@ from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.gains.force_loop import force_design
 from mfc_analysis.gains.result import Achieved, DampingMatrix, Gains, Value
 from mfc_analysis.gains.scalar_loop import LoopMetrics, loop_metrics
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 
 if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
-Array = NDArray[np.float64]
 
 __all__ = ["Achieved", "DampingMatrix", "Gains", "cartesian_damping", "force_pi", "joint_pid", "p", "pd", "pi", "pid"]
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array
+
 Value = float | Array
 
 

@@ -23,13 +23,12 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import adjoint, inverse, pose_matrix
-
-Array = NDArray[np.float64]
 
 MOTION = ("vx", "vy", "vz", "wx", "wy", "wz")
 FORCE = ("fx", "fy", "fz", "mx", "my", "mz")

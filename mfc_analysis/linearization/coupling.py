@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.laws import constraints
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 
 if TYPE_CHECKING:
     from mfc_analysis.linearization.linearization import Linearization
-
-Array = NDArray[np.float64]
 
 
 def leak(rows: ArrayLike | constraints.ConstraintSet, Lambda: ArrayLike, projection: Literal["dynamic", "selection"] = "dynamic") -> Array:

@@ -6,19 +6,17 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import open_system
 from mfc_analysis.dynamics.operating_point import OperatingPoint
 from mfc_analysis.errors import Unsupported
+from mfc_analysis.maths.arrays import Array, Bools, Complex
 from mfc_analysis.maths.dual import Dual
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +30,7 @@ class Decentralised:
     c: Array  #: (m, n, k) row of the command: command = c x
     integrals: tuple[int, ...] = ()  #: which of the k states are integrals of the law
 
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> Complex:
         """(m, n, k) closed-loop poles [1/s] of each joint alone, slowest first."""
         found = np.linalg.eigvals(self.A).astype(complex)
         return np.take_along_axis(found, np.argsort(-found.real, axis=-1, kind="stable"), axis=-1)
@@ -45,7 +43,7 @@ class Decentralised:
     __repr__ = __str__
 
     @property
-    def stable(self) -> NDArray[np.bool_]:
+    def stable(self) -> Bools:
         """(m, n) every root of a joint alone decays, those of integrals that act on nothing left out."""
         from mfc_analysis.analysis.stability import stability
 

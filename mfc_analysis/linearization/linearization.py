@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.spectrum import Pole, pole_table, poles
 from mfc_analysis.analysis.stability import Stability, stability
@@ -19,6 +19,7 @@ from mfc_analysis.dynamics.operating_point import OperatingPoint, at_rest, nomin
 from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint, Unsupported
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 from mfc_analysis.robots.primitives import Configuration
 from mfc_analysis.robots.singularity import WARN_CONDITION
 from mfc_analysis.simulation.simulation import Simulation
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
     from mfc_analysis.analysis.steps import Step
 
-Array = NDArray[np.float64]
 About = Literal["reference", "equilibrium", "simulation"]
 
 
@@ -144,7 +144,7 @@ class Linearization:
 
     # --- poles ---------------------------------------------------------------------------------------------------
 
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> Complex:
         """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; dead time left out."""
         return poles(self.reduced)
 
@@ -159,17 +159,17 @@ class Linearization:
         return stability(self.opened if dead or self.dt else _only_a(self))
 
     @property
-    def stable(self) -> NDArray[np.bool_]:
+    def stable(self) -> Bools:
         """(m,) every root that is not neutral decays; exact with dead time."""
         return self.stability.stable
 
     @property
-    def neutral(self) -> NDArray[np.int64]:
+    def neutral(self) -> Ints:
         """(m,) semisimple roots at zero (z = 1): free positions."""
         return self.stability.neutral
 
     @property
-    def drifts(self) -> NDArray[np.bool_]:
+    def drifts(self) -> Bools:
         """(m,) a zero root in a Jordan chain: a position that slides, a speed that ramps."""
         return self.stability.drifts
 
@@ -177,7 +177,7 @@ class Linearization:
         """Poles at one time with natural frequency, damping ratio and time constant, slowest first."""
         return pole_table(self.reduced, self._index(index))
 
-    def delay_roots(self, count: int = 6) -> NDArray[np.complex128]:
+    def delay_roots(self, count: int = 6) -> Complex:
         """(m, count) rightmost characteristic roots [1/s] with dead time, exact, rightmost first."""
         from mfc_analysis.analysis.delay.roots import delay_roots
 
@@ -231,7 +231,7 @@ class Linearization:
         grid = None if frequencies is None else checks.array("frequencies", frequencies, (None,))
         return disk_margin(self._opened_for(*points), points[0] if len(points) == 1 else points, grid)
 
-    def frequency_response(self, frequencies: ArrayLike, at: str | None = None) -> NDArray[np.complex128]:
+    def frequency_response(self, frequencies: ArrayLike, at: str | None = None) -> Complex:
         """(m, n, nf) loop transfers L_i(j w) at w [rad/s], each broken alone; dead time included. Raises UnknownPoint."""
         from mfc_analysis.analysis.frequency.response import frequency_response
 

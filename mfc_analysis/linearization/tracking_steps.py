@@ -10,16 +10,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.steps import step
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.laws.law import TWIST, WRENCH
+from mfc_analysis.maths.arrays import Array
 
 if TYPE_CHECKING:
     from mfc_analysis.linearization.linearization import Linearization
 
-Array = NDArray[np.float64]
 
 RESISTED = 0.05  #: part of the stiffest axis above which an axis counts as resisted
 

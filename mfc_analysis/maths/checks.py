@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument
-
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array
 
 
 def array(argument: str, value: Any, shape: tuple[int | None, ...] | None = None, takes: str | None = None) -> Array:

@@ -10,9 +10,8 @@ from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array
 
 
 class Dual:

@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument, NearPi
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, chain, times, value
-
-Array = NDArray[np.float64]
 
 #: (y/2) cot(y/2) = 1 - sum a_k y^(2k): Bernoulli numbers over factorials, k = 1..8
 _A = np.array([1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600, 3617 / 10670622842880000])

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mfc_analysis.maths.arrays import Array, Complex
 from mfc_analysis.plots import figure as sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 
 def phase_deg(L: ArrayLike, frequencies: ArrayLike, crossover: float = np.nan) -> Array:
@@ -89,7 +88,7 @@ def _phase_arrow(upper: Axes, lower: Axes, w: Array, phase: Array, crossover: fl
     _beside(lower, w, f"PM {sheet.written(margin)}°", crossover, -180, sheet.INK, -7 if below else 7)
 
 
-def _gain_arrow(upper: Axes, lower: Axes, w: Array, values: NDArray[np.complex128], factor: float, where: float | None) -> None:
+def _gain_arrow(upper: Axes, lower: Axes, w: Array, values: Complex, factor: float, where: float | None) -> None:
     if not np.isfinite(factor) or factor <= 0:
         return
     where = _crossing(w, values, factor) if where is None else where
@@ -108,7 +107,7 @@ def _beside(ax: Axes, w: Array, text: str, x: float, y: float, color: str, up: f
     sheet.note(ax, text, (x, y), color=color, ha="right" if right else "left", shift=(-3 if right else 3, up))
 
 
-def _crossing(w: Array, values: NDArray[np.complex128], factor: float) -> float | None:
+def _crossing(w: Array, values: Complex, factor: float) -> float | None:
     """The frequency on the drawn curve where L crosses the negative real axis nearest to -1/factor."""
     flips = np.nonzero(np.diff(np.signbit(values.imag)) & (values.real[:-1] < 0))[0]
     if flips.size == 0:

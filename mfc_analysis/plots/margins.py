@@ -6,15 +6,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import UnknownName
+from mfc_analysis.maths.arrays import Array, Bools
 from mfc_analysis.plots import figure as sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 _NAMES = {
     "phase_deg": "phase margin [deg]",
@@ -110,7 +109,7 @@ def _tighter(found: Any) -> str:
     return both[int(least[1] < least[0])]
 
 
-def _unstable(ax: Axes, times: Array, stable: NDArray[np.bool_]) -> None:
+def _unstable(ax: Axes, times: Array, stable: Bools) -> None:
     if stable.all():
         return
     edges = np.concatenate(([times[0]], (times[1:] + times[:-1]) / 2, [times[-1]]))

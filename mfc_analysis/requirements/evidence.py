@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
 from mfc_analysis.analysis.system import close_wires
@@ -24,6 +23,7 @@ from mfc_analysis.dynamics.start_state import start_state
 from mfc_analysis.errors import UnknownName, UnknownPoint
 from mfc_analysis.linearization.linearization import linearize
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array, Bools, Complex
 from mfc_analysis.maths.dual import value
 from mfc_analysis.simulation.simulation import simulate
 
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from mfc_analysis.linearization.tracking_steps import StepMetrics
     from mfc_analysis.simulation.simulation import Simulation
 
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 ROUNDING = 1e-9  #: part of the acceleration scale below which a residual is rounding
 RUN_POINTS = 400  #: of the nonlinear run, at least
@@ -151,7 +149,7 @@ class Evidence:
         return Found(float(real[i, k]), self._joint_of(int(i), root), float(self.times[i]), note)
 
     @cached_property
-    def _roots(self) -> tuple[NDArray[np.complex128], Bools]:
+    def _roots(self) -> tuple[Complex, Bools]:
         """Roots in the s plane and which of them are at zero (m, k): the poles, or with dead time the rightmost exact ones."""
         lin, known = self.linearization, self.spectrum
         if not (lin.delay or lin.force_delay):

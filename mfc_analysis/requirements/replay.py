@@ -13,7 +13,7 @@ from inspect import signature
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
@@ -22,9 +22,8 @@ from mfc_analysis.laws.constraints import ConstraintSet
 from mfc_analysis.laws.gain import Gain
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.robot import Robot
-
-Array = NDArray[np.float64]
 
 LONGEST = 600  #: numbers of one array that are worth printing
 DERIVED = ("index", "K", "B", "f0")  #: fields of an Environment that follow from the others

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.errors import BadArgument, BadRobot, UnknownName
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 
-Array = NDArray[np.float64]
 Locked = str | Sequence[str] | Mapping[str, float] | None
 
 _USUAL_TOOL = "tool0"  # ROS-Industrial's name of the flange, where several leaves of a chain are equal

@@ -14,17 +14,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import NearSingular
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, chain, elementwise, times, value
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.singularity import REFUSE_CONDITION, nearest_singular
 
 if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 class Primitives:

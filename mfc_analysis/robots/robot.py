@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.errors import BadArgument, BadRobot, MfcWarning, NearSingular
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots import build
 from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION, nearest_singular
 from mfc_analysis.robots.urdf import checked_urdf, read_urdf
 
-Array = NDArray[np.float64]
 Friction = Literal["urdf", "none"]
 
 COULOMB_SPEED = 1e-2  #: [rad/s or m/s] where tanh(v / COULOMB_SPEED) turns a friction's sign

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 def skeleton(robot: Robot, q: ArrayLike) -> Array:

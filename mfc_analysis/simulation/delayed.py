@@ -6,14 +6,12 @@ from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.dynamics.equations import Inputs, Wires
 from mfc_analysis.errors import MfcError
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Vector, value
 from mfc_analysis.simulation.run import Run
-
-Array = NDArray[np.float64]
 
 #: Chebyshev-Lobatto points on [0, 1]: where a segment's signals are recorded for the next ones
 NODES = 0.5 * (1 - np.cos(np.pi * np.arange(9) / 8))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.floquet import STEPS, Floquet, floquet as multipliers_of, gauss_nodes, period_map, shoot, transition_magnus
 from mfc_analysis.analysis.sampled import sampled
@@ -13,9 +12,8 @@ from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
 from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.errors import BadArgument, NotConverged, Unsupported
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation.simulation import Simulation, simulate
-
-Array = NDArray[np.float64]
 
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.floquet import gauss_nodes, transition_magnus
 from mfc_analysis.analysis.sampled import sampled
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import open_system
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation.delayed import NODES, History
 from mfc_analysis.simulation.sampled import own_states_step
 from mfc_analysis.simulation.simulation import Simulation
-
-Array = NDArray[np.float64]
 
 
 def delayed(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:

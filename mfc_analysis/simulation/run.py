@@ -8,14 +8,12 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from mfc_analysis.dynamics.equations import Equations, Inputs
 from mfc_analysis.errors import BadArgument, MfcError
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
-
-Array = NDArray[np.float64]
 
 Disturbance = Callable[[float], Array]
 

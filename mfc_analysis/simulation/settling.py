@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
-
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array
 
 
 def settles(t: ArrayLike, y: ArrayLike) -> bool:

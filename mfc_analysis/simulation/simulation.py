@@ -12,19 +12,18 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, warn_near_singular
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.dynamics.operating_point import OperatingPoint
 from mfc_analysis.errors import BadArgument, MfcError
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
 from mfc_analysis.simulation.delayed import run_with_dead_time
 from mfc_analysis.simulation.run import FAR, DenseOutput, Disturbance, Event, Outcome, Run, bounded
 from mfc_analysis.simulation.sampled import run_sampled
-
-Array = NDArray[np.float64]
 
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
 SHORTEST = 1e-9  #: [s] a run below this is taken for a slip

@@ -10,18 +10,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.floquet import accumulated
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.errors import BadArgument, MfcError
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
 from mfc_analysis.simulation.simulation import Simulation, simulate
-
-Array = NDArray[np.float64]
 
 STEPS = 200
 MISFIT = 0.05  #: nrmse up to which the linear model is said to hold

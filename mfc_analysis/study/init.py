@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.catalogue import robot_named
 
 if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
-Array = NDArray[np.float64]
 
 STRIDE = 0.5  #: [rad, m] the longest way a joint of the first path goes
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument, MfcError, UnknownName
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots import catalogue
 from mfc_analysis.robots.catalogue import EMBEDDED
 from mfc_analysis.robots.robot import Robot
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from mfc_analysis.laws.law import Law
     from mfc_analysis.loop import ClosedLoop
 
-Array = NDArray[np.float64]
 
 POINTS = 101  #: times where the study names none and the reference moves
 

@@ -14,10 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.study.errors import StudyError
 from mfc_analysis.study.messages import explained, has
 from mfc_analysis.study.schema import DECIDING, LoopTable, SpanTable, StudyTable
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from mfc_analysis.requirements.requirements import Requirements
     from mfc_analysis.study.parts import Parts
 
-Array = NDArray[np.float64]
 
 MOST_CASES = 1000  #: combinations of ranges that a study may ask for
 

@@ -13,10 +13,11 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument, MfcWarning, NearSingular, NotConverged
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import adjoint, inverse, log6, pose_matrix
 from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION
 from mfc_analysis.trajectories.joint import JointPoint, JointReference, warn_outside_limits
@@ -26,7 +27,6 @@ from mfc_analysis.trajectories.tool import ToolPoint, ToolReference
 if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-13  #: of the pose error [m and rad] at which Newton stops
 ROUNDING = 1e-10  #: pose error below which a step that doesn't help means that rounding is reached

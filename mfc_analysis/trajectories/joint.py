@@ -17,16 +17,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument, MfcWarning
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.trajectories.piecewise import Piecewise
 
 if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
-Array = NDArray[np.float64]
 
 PERIOD_TOLERANCE = 1e-9  #: relative, within which a ratio of frequencies counts as rational
 PERIOD_DENOMINATOR = 1000  #: largest numerator or denominator of such a ratio

@@ -10,14 +10,13 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import hat, log3, pose_matrix
 from mfc_analysis.trajectories.joint import quintic, time_array
-
-Array = NDArray[np.float64]
 
 
 class ToolPoint(NamedTuple):

@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
 from mfc_analysis.analysis.delay.roots import Delayed, delayed_points, rightmost
@@ -25,10 +24,7 @@ from mfc_analysis.analysis.frequency.resolvent import CONDITION
 from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, assembled, dc_sensitivity
 from mfc_analysis.analysis.spectrum import Spectrum
 from mfc_analysis.analysis.system import OpenSystem
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Ints = NDArray[np.int64]
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 MOST = 40_000  #: frequencies of one point
 TURN = 0.2  #: [rad] of e^(-jwT) between two frequencies
@@ -82,7 +78,7 @@ class _Point:
         return np.asarray(self.C @ np.linalg.solve(matrix, np.broadcast_to(self.B.astype(complex), (w.size, *self.B.shape))) + self.M)
 
 
-def delayed_metrics(system: OpenSystem, at: str, judged: NDArray[np.bool_], known: Spectrum) -> MarginMetrics:
+def delayed_metrics(system: OpenSystem, at: str, judged: Bools, known: Spectrum) -> MarginMetrics:
     """The metrics of all channels of the point ``at``, dead time exact; NaN where not judged."""
     ch = channels(system, at)
     metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))

@@ -18,15 +18,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.spectrum import inside, poles, spectrum
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.analysis.zero_roots import without_decoupled_zeros
 from mfc_analysis.errors import BadArgument, Unsupported
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 MOST_NODES = 200  #: of one wire
 
@@ -83,7 +80,7 @@ def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
     return out
 
 
-def delay_stable(system: OpenSystem) -> NDArray[np.bool_]:
+def delay_stable(system: OpenSystem) -> Bools:
     """(m,) whether every characteristic root that is not at zero lies to the left, dead time exact."""
     verdict = np.zeros(len(system.A), bool)
     for i, point in enumerate(delayed_points(system)):
@@ -153,7 +150,7 @@ def differentiation(n: int) -> Array:
     return np.asarray(D - np.diag(D.sum(axis=1)))
 
 
-def _collocated(point: Delayed, nodes: NDArray[np.int64]) -> Complex:
+def _collocated(point: Delayed, nodes: Ints) -> Complex:
     """Eigenvalues of the loop with each wire's transport collocated, roots at zero taken out; rightmost first."""
     nx, nd = len(point.A), len(point.T)
     start = nx + np.concatenate([[0], np.cumsum(nodes)])
@@ -200,7 +197,7 @@ def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:
     return s[near], first_bad
 
 
-def _polish_copies(point: Delayed, s: Complex, copies: NDArray[np.int64], size: Array) -> None:
+def _polish_copies(point: Delayed, s: Complex, copies: Ints, size: Array) -> None:
     """Moves clusters of roots, in place: successive linear problems M(c) x = -d M'(c) x about their middle c, all copies at once (Ruhe 1973)."""
     left = list(copies)
     while left:

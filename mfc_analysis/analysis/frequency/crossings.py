@@ -19,15 +19,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels
 from mfc_analysis.analysis.frequency.exclusion import Intervals, crossover_intervals, narrowed
 from mfc_analysis.analysis.frequency.resolvent import Resolvent
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Ints = NDArray[np.int64]
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +63,7 @@ def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossi
     return _polished(found, point, channel, start, gain=True), _polished(found, *_candidates(phase), gain=False)
 
 
-def _squared_frequencies(ch: Channels, poles: Complex, with_gain: NDArray[np.bool_]) -> tuple[Complex, Complex]:
+def _squared_frequencies(ch: Channels, poles: Complex, with_gain: Bools) -> tuple[Complex, Complex]:
     """w^2 (m, n, nx) of the gain crossovers, of the channels ``with_gain`` (m, n), and of the phase crossings; complex and infinite ones too."""
     m, nx = ch.A.shape[:2]
     n = ch.B.shape[2]

@@ -13,13 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.frequency.resolvent import Resolvent
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 HALVINGS = 40
 MOST = 60  #: open intervals of one channel, on average; beyond it is left to the eigenvalue problem
@@ -40,7 +36,7 @@ class Intervals:
         return Intervals(*(x[some] for x in vars(self).values()))
 
 
-def crossover_intervals(found: Resolvent, w: Array, H: NDArray[np.complex128]) -> tuple[Intervals, Bools]:
+def crossover_intervals(found: Resolvent, w: Array, H: Complex) -> tuple[Intervals, Bools]:
     """Intervals with exactly one gain crossover each, and (m, n) where they are not all.
 
     ``w``: (m, k) rising frequencies from 0, ``H``: (m, n, k) on them, of points that are all modal.
@@ -111,7 +107,7 @@ def _f(found: Resolvent, point: Ints, channel: Ints, w: Array) -> Array:
     return np.asarray(found.at(point, channel, w)[0].real + 0.5)
 
 
-def _inverse_cubes(poles: NDArray[np.complex128], a: Array, b: Array) -> Array:
+def _inverse_cubes(poles: Complex, a: Array, b: Array) -> Array:
     """1/d^3 (m, nx, k) of poles (m, nx) from the segments j[a, b], (m, k) each."""
     height = poles.imag[:, :, None]
     away = np.maximum(np.maximum(a[:, None, :] - height, height - b[:, None, :]), 0.0)

@@ -7,11 +7,9 @@ smooth; the highest ones found there are climbed to the top.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.frequency.resolvent import Resolvent
-
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array, Complex, Ints
 
 AT = np.array([-2.5, -1.0, 0.0, 1.0, 2.5])  #: places around a pole, in units of its decay rate,
 BETWEEN = np.array([-6.0, -0.4, 0.4, 6.0])  #: and more of them around its conjugate
@@ -21,7 +19,7 @@ CLIMBED = 3  #: local maxima climbed in each channel,
 NEAR = 0.7  #: if they are at least this part of the highest
 
 
-def frequencies_of_interest(poles: NDArray[np.complex128]) -> Array:
+def frequencies_of_interest(poles: Complex) -> Array:
     """(m, k) rising positive frequencies [rad/s] that resolve every resonance of the poles (m, nx)."""
     size = np.abs(poles)
     top = size.max(axis=1, keepdims=True)
@@ -35,7 +33,7 @@ def frequencies_of_interest(poles: NDArray[np.complex128]) -> Array:
     return np.sort(np.where(every > 0, every, ladder[:, :1]), axis=1)
 
 
-def thinned(w: Array, poles: NDArray[np.complex128]) -> Array:
+def thinned(w: Array, poles: Complex) -> Array:
     """Fewer of the rising frequencies w (m, k): about one in each 0.3 of the distance to the nearest pole (m, nx). The last is repeated.
 
     Where many poles lie on one spot most of the frequencies of interest are nearly the same.
@@ -47,7 +45,7 @@ def thinned(w: Array, poles: NDArray[np.complex128]) -> Array:
     return np.sort(np.where(keep, w, w[:, -1:]), axis=1)[:, : int(keep.sum(axis=1).max())]
 
 
-def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: NDArray[np.complex128]) -> tuple[Array, Array]:
+def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: Complex) -> tuple[Array, Array]:
     """Largest |S_i| (m, n) and its frequency (m, n) [rad/s], 0 and inf included.
 
     ``at_zero``: S_i(0) - 1 (m, n), NaN: not looked at; ``H``: S_i - 1 (m, n, k) on frequencies of interest ``w`` (m, k).
@@ -71,7 +69,7 @@ def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: NDArray[np.c
     return peak, at
 
 
-def _climbed(found: Resolvent, w: Array, point: NDArray[np.int64], channel: NDArray[np.int64], k: NDArray[np.int64]) -> tuple[Array, Array]:
+def _climbed(found: Resolvent, w: Array, point: Ints, channel: Ints, k: Ints) -> tuple[Array, Array]:
     """Top of |S| between the neighbours of w[point, k]: bisection on the sign of d|S|^2/dw, safeguarding secant steps."""
     last = w.shape[1] - 1
     a, b = w[point, np.maximum(k - 1, 0)], w[point, np.minimum(k + 1, last)]

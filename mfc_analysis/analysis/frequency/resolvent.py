@@ -8,13 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Ints = NDArray[np.int64]
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 CONDITION = 1e5  #: largest condition number of the eigenvectors with which modes are used: ten digits are left
 CHUNK = 4_000_000  #: complex numbers solved for at a time
@@ -27,7 +23,7 @@ class Resolvent:
     ch: Channels
     poles: Complex  #: (m, nx)
     residues: Complex  #: (m, n, nx) meaningless where not ``modal``
-    modal: NDArray[np.bool_]  #: (m,)
+    modal: Bools  #: (m,)
 
     def at(self, point: Ints, channel: Ints, w: Array) -> tuple[Complex, Complex]:
         """H and dH/dw, each (k,), of k cases: point, channel (k,) and w (k,) [rad/s]."""

@@ -10,15 +10,13 @@ which keeps its digits where |L_i| is large and never needs an eigenvector.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.channels import has_rate, point_wires
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths.arrays import Array, Complex
 from mfc_analysis.maths.checks import array, at_least_1d
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 CHUNK = 2_000_000  #: complex numbers solved for at a time
 

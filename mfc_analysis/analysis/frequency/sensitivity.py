@@ -10,16 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import has_rate, point_wires
 from mfc_analysis.analysis.frequency.resolvent import CONDITION
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Ints = NDArray[np.int64]
+from mfc_analysis.maths.arrays import Array, Complex, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +25,8 @@ class Opened:
     system: OpenSystem
     points: tuple[str, ...]
     names: tuple[str, ...]  #: (k,) "joint" or, with several points, "point joint"
-    wires: NDArray[np.int64]  #: (k,) among the nw
-    rates: NDArray[np.int64]  #: (k,) the rate wire behind a position wire, else -1
+    wires: Ints  #: (k,) among the nw
+    rates: Ints  #: (k,) the rate wire behind a position wire, else -1
 
 
 def opened(system: OpenSystem, at: str | Sequence[str]) -> Opened:

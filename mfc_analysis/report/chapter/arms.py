@@ -9,17 +9,16 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis import gains, laws
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.loops.view import View
 from mfc_analysis.requirements.requirements import Requirements
 from mfc_analysis.robots.catalogue import planar_2r, single_joint, ur5
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories.joint import JointPoint, JointReference, Quintic
-
-Array = NDArray[np.float64]
 
 POINTS = 41  #: times along each path
 PAYLOAD = 2.0  #: [kg] in the UR5's hand, unknown to its controller

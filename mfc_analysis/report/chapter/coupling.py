@@ -5,14 +5,12 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import plots
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.arms import decibels
 from mfc_analysis.report.document.document import Block, Cell, Column, Figure, Math, Number, Table, written
 from mfc_analysis.report.loops.view import View
-
-Array = NDArray[np.float64]
 
 
 def price(view: View) -> str:

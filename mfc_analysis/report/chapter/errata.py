@@ -6,11 +6,11 @@ from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import laws, plots
 from mfc_analysis.laws.constraints import projection
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import inverse as inverse_pose, log6
 from mfc_analysis.report.chapter.constraints import invariance_section
 from mfc_analysis.report.chapter.force import POSE, arm, tiny
@@ -35,8 +35,6 @@ from mfc_analysis.report.document.document import (
 )
 from mfc_analysis.requirements.line import Status
 from mfc_analysis.trajectories import ToolHold
-
-Array = NDArray[np.float64]
 
 SOURCES = (LYNCH, "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 8-9")
 

@@ -6,7 +6,6 @@ from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import laws, plots, robots
 from mfc_analysis.dynamics.environment import Environment
@@ -14,6 +13,7 @@ from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.laws.force import ForceLaw
 from mfc_analysis.linearization.linearization import Linearization
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.pieces import agreement, at_least, at_most, in_words, pole_map, poles_table, response, slowest, validated
 from mfc_analysis.report.document.document import (
     Callout,
@@ -34,8 +34,6 @@ from mfc_analysis.report.document.document import (
 from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold
-
-Array = NDArray[np.float64]
 
 Z = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])  #: the direction that presses, as gains of six components
 POSE = np.array([0.3, -1.25, 1.9, -2.2, -1.57, 0.2])  #: [rad] UR5 with its tool pointing down

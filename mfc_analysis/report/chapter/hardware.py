@@ -6,7 +6,6 @@ from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import design, laws, plots, robots
 from mfc_analysis.design.dead_time import DelayMap, delay_map
@@ -14,6 +13,7 @@ from mfc_analysis.design.stiffness import stable_up_to
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import MfcError
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import POSE, arm, arm_loop
 from mfc_analysis.report.chapter.pieces import LYNCH, agreement, at_least
 from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Row, Section, Table, written
@@ -24,8 +24,6 @@ from mfc_analysis.robots.robot import Robot
 from mfc_analysis.simulation.orbit import Floquet
 from mfc_analysis.simulation.settling import settles
 from mfc_analysis.trajectories import Hold, Sinusoid
-
-Array = NDArray[np.float64]
 
 SOURCES = (
     LYNCH,

@@ -6,7 +6,6 @@ from functools import cache, partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import laws, plots
 from mfc_analysis.design.stiffness import over_stiffness
@@ -15,13 +14,12 @@ from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.laws.constraints import projection
 from mfc_analysis.linearization.coupling import coupling, leak
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import KFI, KFP, POSE, Z, arm, force_checks, tiny
 from mfc_analysis.report.chapter.pieces import agreement, at_least, at_most, in_words, response, validated
 from mfc_analysis.report.document.document import Block, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, written
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import ToolHold, ToolSinusoid
-
-Array = NDArray[np.float64]
 
 NORMAL = np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])  #: the row A of a point on a wall along the tool's z axis
 FORCE, STIFFNESS, DAMPING, KP = 20.0, 1e4, 200.0, 100.0  #: [N], [N/m], [Ns/m] of kdamp along z, [1/s^2]

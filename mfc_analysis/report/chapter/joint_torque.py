@@ -6,10 +6,10 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import laws, plots
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.arms import PAYLOAD, Arm, Designs, arms, decibels, per_joint, triple_pole
 from mfc_analysis.report.chapter.coupling import coupling_figures, coupling_numbers, coupling_table, coupling_words, price
 from mfc_analysis.report.chapter.pages import loop_page
@@ -31,8 +31,6 @@ from mfc_analysis.report.document.document import (
 from mfc_analysis.report.loops import blocks
 from mfc_analysis.report.loops.view import View
 from mfc_analysis.trajectories.joint import Hold
-
-Array = NDArray[np.float64]
 
 OFFSET, LONG = 0.05, 3.0  #: [rad] start off the path; [s] of an open-loop run: the path, and a while at its end
 SIDES = (0.9, 1.1)  #: of the lower end of a gain interval, simulated

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import laws, plots
 from mfc_analysis.loop import ClosedLoop
@@ -17,8 +16,6 @@ from mfc_analysis.report.document.document import Compare, Equation, Fact, Figur
 from mfc_analysis.report.loops.view import View, place_words
 from mfc_analysis.requirements.line import Status
 from mfc_analysis.trajectories.joint import Hold
-
-Array = NDArray[np.float64]
 
 OFFSET = 0.05  #: [rad] start off the path of each comparison
 UPRIGHT = (np.pi / 2, 0.0)  #: [rad] the two-link arm standing on its base

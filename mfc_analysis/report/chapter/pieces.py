@@ -8,9 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import plots
+from mfc_analysis.maths.arrays import Complex
 from mfc_analysis.plots.frequency import of_channel
 from mfc_analysis.report.document.document import Cell, Column, Figure, Row, Table, written
 from mfc_analysis.requirements.line import Line, Status
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from mfc_analysis.linearization.linearization import Linearization
     from mfc_analysis.loop import ClosedLoop
 
-Array = NDArray[np.float64]
 
 LYNCH = "Lynch & Park, Modern Robotics, ch. 11"
 SICILIANO = "Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control, ch. 8-9"
@@ -75,7 +74,7 @@ def response(lin: Linearization, at: str, channel: int, name: str, index: int = 
     return Row((bode, nyquist))
 
 
-def pole_map(values: NDArray[np.complex128], name: str, path: NDArray[np.complex128] | None = None) -> Figure:
+def pole_map(values: Complex, name: str, path: Complex | None = None) -> Figure:
     """The poles (nx,) in the plane; ``path`` (m, nx): where else they are."""
     kept = np.asarray(values)[np.abs(values) > 0]
     rightmost = float(kept.real.max()) if kept.size else math.nan
@@ -87,7 +86,7 @@ def pole_map(values: NDArray[np.complex128], name: str, path: NDArray[np.complex
     )
 
 
-def poles_table(rows: Sequence[tuple[str, NDArray[np.complex128]]], count: int, caption: str) -> Table:
+def poles_table(rows: Sequence[tuple[str, Complex]], count: int, caption: str) -> Table:
     """One loop a row, its ``count`` slowest poles that are not at zero, one of each pair."""
     columns = (Column("Loop", numeric=False), *(Column(f"Pole {i + 1}", "1/s") for i in range(count)))
     out: list[tuple[Cell, ...]] = []
@@ -103,7 +102,7 @@ def validated(loop: ClosedLoop, time: float) -> dict[str, float]:
     return {"nrmse": found.nrmse, "radius": found.radius, "taylor_order": found.taylor_order}
 
 
-def slowest(values: NDArray[np.complex128]) -> complex:
+def slowest(values: Complex) -> complex:
     """The rightmost pole that is not at zero."""
     kept = np.asarray(values)[np.abs(values) > 0]
     return complex(kept[int(np.argmax(kept.real))])

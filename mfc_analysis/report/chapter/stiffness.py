@@ -7,19 +7,17 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import plots
 from mfc_analysis.design.stiffness import StabilityMap, over_stiffness, stable_up_to, stiffness_map
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import KDAMP, KFI, KFP, MASS, POSE, SOURCES, Z, arm_loop, slider_loop
 from mfc_analysis.report.chapter.pieces import agreement, at_least, pole_map
 from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Row, Section, Table, Text, written
 from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.simulation.settling import settles
-
-Array = NDArray[np.float64]
 
 SPAN = np.geomspace(1e2, 1e6, 49)  #: [N/m]
 LAG = 2e-3  #: [s]

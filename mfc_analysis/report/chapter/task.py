@@ -6,21 +6,19 @@ from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import laws, plots, robots
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import MfcError
 from mfc_analysis.linearization.linearization import Linearization
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import POSE, arm
 from mfc_analysis.report.chapter.pieces import LYNCH, SICILIANO, at_most, in_words, poles_table, response, validated
 from mfc_analysis.report.document.document import Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, Text, written
 from mfc_analysis.report.loops.checks import checks as as_checks
 from mfc_analysis.requirements.requirements import Requirements
 from mfc_analysis.trajectories import ToolHold, ToolSinusoid, from_tool_path
-
-Array = NDArray[np.float64]
 
 SOURCES = (LYNCH, SICILIANO)
 FAR = np.array([-0.04, -1.25, 1.5, -2.16, -0.7, 2.19])  #: [rad] a pose 2.3 rad and 0.32 m away from the one asked for, with a regular path to it

@@ -8,15 +8,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import plots
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.arms import Arm, Designs, Polynomial, arms, per_joint
 from mfc_analysis.report.chapter.pages import loop_page
 from mfc_analysis.report.document.document import Column, Equation, Figure, Number, Section, Table, written
 from mfc_analysis.report.loops.view import View
-
-Array = NDArray[np.float64]
 
 SLOPE, BEND, SETTLED = 0.2, 0.1, 8.0  #: [rad/s] of the ramp, [rad/s^2] of the parabola, [s] after which an error counts as settled
 OFFSET, DISTURBANCE = 0.05, 0.01  #: [rad] start off the path; [rad/s] velocity disturbance

@@ -12,9 +12,9 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from mfc_analysis.maths.arrays import Array, Complex
 from mfc_analysis.report.document.document import Number, Scrubber, Trace, written
 
-Array = NDArray[np.float64]
 Element = ElementTree.Element
 
 _W1, _W2, _H = 330.0, 350.0, 290.0  # [pt] widths of the two drawings and their height
@@ -63,7 +63,7 @@ def _rounded(values: Array) -> list[Any]:
 # --- poles -------------------------------------------------------------------------------------------------------
 
 
-def _followed(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _followed(poles: Complex) -> Complex:
     """Each column one pole, followed from time to time by nearest neighbours."""
     from scipy.optimize import linear_sum_assignment
 
@@ -75,7 +75,7 @@ def _followed(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
     return out
 
 
-def _plane(poles: NDArray[np.complex128], now: int) -> tuple[str, Array, Array]:
+def _plane(poles: Complex, now: int) -> tuple[str, Array, Array]:
     size = np.abs(poles[np.isfinite(poles)])
     largest = float(size.max(initial=1e-3))
     slow = float(np.quantile(size, 0.1)) if size.size else 1.0

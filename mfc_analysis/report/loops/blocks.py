@@ -6,7 +6,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import plots
 from mfc_analysis.plots.frequency import of_channel
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from mfc_analysis.report.loops.step_runs import StepRun
     from mfc_analysis.simulation.validation import Validation
 
-Array = NDArray[np.float64]
 
 MOST_TRACES = 121  #: times of the margin histories
 _LIMITS = ("phase_deg", "gain_increase_db", "gain_reduction_db", "delay", "sensitivity_peak")

@@ -8,10 +8,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis import plots
 from mfc_analysis.errors import MfcError
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.document.document import (
     Block,
     Bullets,
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from mfc_analysis.laws.gain import Gain
     from mfc_analysis.simulation.validation import Validation
 
-Array = NDArray[np.float64]
 
 VALIDATED, SHORTEST = 1.0, 0.1  #: [s] of the comparison with the nonlinear loop: at most, and at least where a mode rings
 SEGMENTS, PERIODS, RINGS = 60, 5.0, 0.2  #: samples or dead times; periods of the fastest mode whose damping ratio is below ...

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.steps import Outcome, Step, step
 from mfc_analysis.errors import MfcError, MfcWarning
 from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
 from mfc_analysis.linearization.tracking_steps import followed
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import adjoint, exp6
 from mfc_analysis.trajectories.joint import JointPoint
 from mfc_analysis.trajectories.tool import ToolPoint
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.report.loops.view import View
 
-Array = NDArray[np.float64]
 
 JOINT, PRISMATIC, LINEAR, ANGULAR = 0.05, 0.01, 0.005, 0.02  #: [rad], [m], [m], [rad] sizes of the steps
 FORCE = 0.05  #: part of the force asked for; at least 1 N (Nm)

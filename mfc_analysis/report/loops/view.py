@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mfc_analysis.maths.arrays import Array, Bools, Complex
 from mfc_analysis.report.document.document import Number, found_of, limit_of, written
 from mfc_analysis.report.loops.checks import checks
 from mfc_analysis.requirements.line import Line
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.requirements.evidence import Evidence
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 NO_FEEDBACK = 1e-12  #: |L| below which nothing is fed back
 MOST_DECADES = 7.0  #: of a frequency axis
@@ -87,7 +85,7 @@ class View:
         return bool(self.evidence.judged.all())
 
     @cached_property
-    def fed_back(self) -> NDArray[np.bool_]:
+    def fed_back(self) -> Bools:
         """(n,) whether anything passes each channel of the analysis point at any time, judged by its loop transfer."""
         grid = np.geomspace(1e-2, 1e3, 12) if not self.lin.dt else np.geomspace(1e-2, 0.9 * np.pi / self.lin.dt, 12)
         few = self.lin.again(self.times[np.unique(np.linspace(0, len(self.times) - 1, 3).astype(int))])
