@@ -113,10 +113,11 @@ class ClosedLoop:
         given = self.environment
         if given is None:
             return ()
-        surfaces = (given,) if isinstance(given, Environment) or not isinstance(given, (list, tuple)) else tuple(given)
-        for surface in surfaces:
+        surfaces: list[Environment] = []
+        for surface in given if isinstance(given, (list, tuple)) else (given,):
             if not isinstance(surface, Environment):
                 raise BadArgument("environment", surface, "an Environment or a list of them")
+            surfaces.append(surface)
         point = self.ref(0.0)
         start = np.asarray(point.X) if self.ref.space == "tool" else self.robot.pose(point.q)
         return tuple(s if s.pose is not None else replace(s, pose=start) for s in surfaces)

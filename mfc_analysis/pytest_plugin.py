@@ -34,7 +34,7 @@ def pytest_configure(config: pytest.Config) -> None:
     folder = config.getoption("--mfc-report")
     if folder is None:
         return
-    formats = tuple(config.getoption("--mfc-report-formats").replace(" ", "").split(","))
+    formats = tuple(str(config.getoption("--mfc-report-formats")).replace(" ", "").split(","))
     if not folder or Path(folder).is_file():
         raise pytest.UsageError(f"--mfc-report={folder!r}: takes a folder to write into")
     unknown = [f for f in formats if f not in FORMATS.split(",")]
@@ -104,7 +104,7 @@ class Collector:
         """A worker hands over its records; everyone else writes the report."""
         self.stack.close()
         if self.worker:
-            self.config.workeroutput[KEY] = pickle.dumps(self.records)  # type: ignore[attr-defined]
+            self.config.workeroutput[KEY] = pickle.dumps(self.records)  # type: ignore[attr-defined]  # of xdist
         elif self.records or self.lost:
             from mfc_analysis.report import render
             from mfc_analysis.report.verification import verification_document, with_outcomes

@@ -65,13 +65,13 @@ def channels(system: OpenSystem, at: str) -> Channels:
     into, out = system.B[:, :, nu:] @ through, through @ system.C[:, ny:, :]
     A = system.A + into @ system.C[:, ny:, :]
     B, C = into[:, :, wires], out[:, wires, :]
-    H0 = np.diagonal(through[:, wires, wires], axis1=1, axis2=2) - 1.0
+    H0: Array = np.asarray(np.diagonal(through[:, wires, wires], axis1=1, axis2=2) - 1.0, float)
     if has_rate(system, at):
         rate = system.wires["rate"]
         assert not np.diagonal(through[:, wires, rate], axis1=1, axis2=2).any(), "the rate reaches its own position without a state"
         assert not system.dt, "a sampled rate is not s times the sampled position"
         B_rate = into[:, :, rate]
-        H0 = H0 + np.einsum("mnx,mxn->mn", C, B_rate)
+        H0 = np.asarray(H0 + np.einsum("mnx,mxn->mn", C, B_rate), float)
         B = B + A @ B_rate
     return Channels(system.wire_names[wires], A, B, C, H0, system.dt)
 

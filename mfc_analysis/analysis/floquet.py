@@ -15,11 +15,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument, NotConverged
+from mfc_analysis.maths.arrays import Complex
 from mfc_analysis.maths.expm import expm
 
 Array = NDArray[np.float64]
@@ -159,9 +161,9 @@ def floquet(Phi: Array, period: float, tolerance: float = 1e-7, orbit: Orbit | N
     else:
         verdict = FloquetVerdict.NEUTRAL if neutral else FloquetVerdict.STABLE
     with np.errstate(divide="ignore"):
-        exponents = np.log(mu) / period
-    found = {} if orbit is None else {"orbit": orbit.x, "iterations": orbit.iterations, "residual": orbit.residual}
-    return Floquet(float(period), mu, exponents, growth, verdict, neutral, Phi, **found)  # type: ignore[arg-type]
+        exponents: Complex = np.asarray(np.log(mu) / period, np.complex128)
+    found: dict[str, Any] = {} if orbit is None else {"orbit": orbit.x, "iterations": orbit.iterations, "residual": orbit.residual}
+    return Floquet(float(period), mu, exponents, growth, verdict, neutral, Phi, **found)
 
 
 def _ones(Phi: Array, tolerance: float) -> tuple[int, int]:
@@ -184,16 +186,17 @@ def shoot(advance: PeriodMap, x0: Array, tolerance: float = 1e-10, iterations: i
     x = np.array(x0, float)
     end, Phi = advance(x)
     size = float(np.linalg.norm(end - x))
+    count, goal = 0, tolerance
     for count in range(iterations + 1):
         goal = tolerance * (1 + float(np.linalg.norm(x)))
         if size <= goal:
-            return Orbit(x, np.array(Phi), count, size)
+            return Orbit(np.asarray(x, float), np.array(Phi), count, size)
         if not np.isfinite(size) or count == iterations:
             break
         step = np.linalg.lstsq(np.eye(x.size) - Phi, end - x, rcond=1e-11)[0]
         for fraction in (1.0, 0.5, 0.25, 0.125, 0.0625, 0.01):
             tried = x + fraction * step
-            end_tried, Phi_tried = advance(tried)
+            end_tried, Phi_tried = advance(np.asarray(tried, float))
             size_tried = float(np.linalg.norm(end_tried - tried))
             if size_tried < size:
                 break

@@ -51,6 +51,7 @@ def polished_bound(M: Complex, balance: Array) -> tuple[Array, Array]:
     """
     upper = np.full(len(M), np.inf)
     lower = np.zeros(len(M))
+    u = v = np.zeros(balance.shape, np.complex128)
     for k in range(POLISH):
         size, u, v = _largest_singular(M, balance)
         upper = np.minimum(upper, size)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from mfc_analysis.analysis.zero_roots import without_zero_roots
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.maths.checks import number
 from mfc_analysis.maths.expm import expm_integral
+from mfc_analysis.maths.roots import root_between
 
 Array = NDArray[np.float64]
 
@@ -266,8 +268,6 @@ def _first(run: Run, level: float, exact: bool) -> float:
 
 def _crossing(run: Run, k: int, level: float) -> float:
     """[s] where y passes the level between samples k and k + 1."""
-    from scipy.optimize import brentq
-
     h = float(run.t[k + 1] - run.t[k])
     if (run.y[k] - level) * (run.y[k + 1] - level) > 0:
         return float(run.t[k + 1])
@@ -275,18 +275,20 @@ def _crossing(run: Run, k: int, level: float) -> float:
     def gap(ahead: float) -> float:
         return float(run.y[k]) - level if ahead == 0 else float(run.y[k + 1]) - level if ahead == h else run.between(k, ahead)[0] - level
 
-    return float(run.t[k] + brentq(gap, 0.0, h, xtol=1e-13 * max(h, float(run.t[k])), rtol=1e-14))
+    return float(run.t[k] + root_between(gap, 0.0, h, xtol=1e-13 * max(h, float(run.t[k])), rtol=1e-14))
+
+
+def _slope(run: Run, k: int, ahead: float) -> float:
+    return run.between(k, ahead)[1]
 
 
 def _extreme(run: Run, sign: float, exact: bool) -> tuple[float, float]:
     """The largest sign y and its time [s], from the slope's zero between the samples."""
-    from scipy.optimize import brentq
-
     best = int(np.argmax(sign * run.y))
     for k in (best - 1, best):
         if exact and 0 <= k < run.t.size - 1 and run.slope[k] * sign > 0 > run.slope[k + 1] * sign:
             h = float(run.t[k + 1] - run.t[k])
-            ahead = brentq(lambda d, k=k: run.between(k, d)[1], 0.0, h, xtol=1e-13 * h)
+            ahead = root_between(partial(_slope, run, k), 0.0, h, xtol=1e-13 * h, rtol=8.881784197001252e-16)
             value = run.between(k, ahead)[0]
             if sign * value >= sign * run.y[best]:
                 return value, float(run.t[k] + ahead)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mfc_analysis.maths.arrays import Array, Bools
+from mfc_analysis.maths.arrays import Array, Bools, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class OpenSystem:
         """True where dead time is outside the matrices: infinitely many roots."""
         return bool(self.wire_delay.any()) and not self.dt
 
-    def at(self, index: slice | Array) -> OpenSystem:
+    def at(self, index: slice | Ints | Bools) -> OpenSystem:
         """The same system at some of its points."""
         behind = None if self.continuous is None else self.continuous.at(index)
         return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index], continuous=behind)

@@ -213,13 +213,11 @@ def exercise(
 @terminal.guarded
 def laws() -> None:
     """The control laws, by equation."""
-    from dataclasses import fields
-
     from mfc_analysis.laws import LAWS
 
     rows = []
     for number, law in LAWS.items():
-        takes = ", ".join(f.name for f in fields(law) if f.init)  # type: ignore[arg-type]
+        takes = ", ".join(law.parameters())
         said = (law.__doc__ or "").strip().splitlines()[0].split(":")[0]
         rows.append((number, law.__name__, said, takes or "-", ", ".join(law.opens_at)))
     terminal.table(("equation", "law", "what", "takes", "opens at"), rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,7 @@ def designed(kind: str, given: Mapping[str, Any]) -> Gains:
     kind = kind.replace("_", "-")
     if kind not in KINDS:
         raise UnknownName("kind", kind, KINDS)
-    helper = getattr(gains, kind.replace("-", "_"))
+    helper: Callable[..., Gains] = getattr(gains, kind.replace("-", "_"))
     takes = tuple(signature(helper).parameters)
     asked: dict[str, Any] = {}
     for name, value in given.items():
@@ -36,18 +36,20 @@ def designed(kind: str, given: Mapping[str, Any]) -> Gains:
             raise BadArgument(f"--{name.replace('_', '-')}", value, f"nothing: {kind} takes {', '.join('--' + t.replace('_', '-') for t in takes)}")
         if key in asked:
             raise BadArgument(f"--{name.replace('_', '-')}", value, f"either --{key.replace('_', '-')}-hz or --{key.replace('_', '-')}")
-        asked[key] = numbers(name, value) if isinstance(value, str) and key not in ("robot", "tool") else value if factor == 1.0 else factor * value
+        if isinstance(value, str) and key not in ("robot", "tool"):
+            value = numbers(name, value)
+        asked[key] = value if factor == 1.0 or not isinstance(value, (int, float)) else factor * value
     for name in ("stiffness", "mass"):
         if name in takes and name not in asked:
             raise BadArgument(f"--{name}", None, f"a number: {kind} needs it")
     tool = asked.pop("tool", None)
     if "robot" not in takes:
-        return helper(**asked)  # type: ignore[no-any-return]
+        return helper(**asked)
     if "robot" not in asked:
         raise BadArgument("--robot", None, f"a URDF file, a study or a robot's name: {kind} needs its mass matrix")
     arm, start = _arm_and_start(asked.pop("robot"), tool)
     q = asked.pop("q", start)
-    return helper(arm, [q] if isinstance(q, float) else q, **asked)  # type: ignore[no-any-return]
+    return helper(arm, [q] if isinstance(q, float) else q, **asked)
 
 
 def _arm_and_start(name: str, tool: str | None) -> tuple[Robot, list[float]]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, cast
 
 import numpy as np
 
@@ -66,7 +66,8 @@ class Limit(float):
     ) -> Self:  # fmt: skip
         self = super().__new__(cls, value)
         self.name, self.unit, self.outcome, self.binds = name, unit, outcome, binds
-        self.loop, self.beyond, self.evaluations, self.notes = loop, beyond, evaluations, notes  # type: ignore[assignment]
+        self.loop = cast("ClosedLoop", loop)  # None only while it is unpickled
+        self.beyond, self.evaluations, self.notes = beyond, evaluations, notes
         return self
 
     def __getnewargs__(self) -> tuple[float]:

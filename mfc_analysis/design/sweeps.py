@@ -104,7 +104,8 @@ def _run(
     streams = bool(getattr(get_active_backend()[0], "supports_return_generator", False))  # Dask's, for one, does not
     parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator" if streams else "list")
     with _bar(progress, len(points)) as advance:
-        for point in parallel(joblib.delayed(one_point)(build, measure, p) for p in points):
+        done: Iterator[Point] = iter(parallel(joblib.delayed(one_point)(build, measure, p) for p in points))  # pyright: ignore[reportArgumentType, reportAssignmentType]
+        for point in done:
             advance()
             yield point
 

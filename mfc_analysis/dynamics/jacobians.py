@@ -189,7 +189,12 @@ def _changed(A: Array, change: _Change, nx: int) -> tuple[Array, Array]:
     T[:, :k] = change.states.tangent[..., :nx]
     G = A.copy()
     G[:, :k] = change.rates.tangent[..., :nx]
-    return np.swapaxes(np.linalg.solve(np.swapaxes(T, 1, 2), np.swapaxes(G, 1, 2)), 1, 2), T
+    return _over(G, T), T
+
+
+def _over(G: Array, T: Array) -> Array:
+    """G T^-1."""
+    return np.asarray(np.swapaxes(np.linalg.solve(np.swapaxes(T, 1, 2), np.swapaxes(G, 1, 2)), 1, 2), float)
 
 
 def _changed_open(rates: Array, outputs: Array, change: _Change, nx: int) -> tuple[Array, Array]:
@@ -201,7 +206,6 @@ def _changed_open(rates: Array, outputs: Array, change: _Change, nx: int) -> tup
     new[:, :k] = change.rates.tangent
 
     def over(rows: Array) -> Array:
-        on_states = np.swapaxes(np.linalg.solve(np.swapaxes(T, 1, 2), np.swapaxes(rows[:, :, :nx], 1, 2)), 1, 2)
-        return np.concatenate([on_states, rows[:, :, nx:]], axis=2)
+        return np.concatenate([_over(rows[:, :, :nx], T), rows[:, :, nx:]], axis=2)
 
     return over(new), over(outputs)

@@ -15,7 +15,7 @@ from mfc_analysis.dynamics.operating_point import at_rest, nominal
 from mfc_analysis.errors import Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Complex
-from mfc_analysis.maths.dual import Dual, value
+from mfc_analysis.maths.dual import Dual, Vector, value
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +85,9 @@ def quasi_static(e: Equations) -> QuasiStatic:
     if "z_f" in slots:
         return QuasiStatic(F_d.copy(), np.zeros(6), asked.q[0], e, None)
     F = Dual(np.zeros((1, 6)), np.eye(6)[None])
-    seeded = dict(slots)
+    seeded: dict[str, Vector] = {**slots}
     if "F_filter" in seeded:
-        seeded["F_filter"] = F  # type: ignore[assignment]
+        seeded["F_filter"] = F
     action, _ = e.control(np.zeros(1), seeded, F, Wires(), Inputs())
     tau = action.command
     J_T = e.plant.at(asked.q).J_T[0]

@@ -10,9 +10,13 @@ from numpy.typing import ArrayLike
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.operating_point import nominal, on_reference
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.laws.law import ToolReference
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
+from mfc_analysis.maths.se3 import exp6
+from mfc_analysis.trajectories.inverse_kinematics import follow
+from mfc_analysis.trajectories.tool import ToolLine
 
 
 def start_state(
@@ -87,12 +91,9 @@ def _displaced(equations: Equations, t: float, q_d: Array, initial_error: ArrayL
     if tool and error.shape == (6,) and not (np.abs(error).max() < 1e6 and np.linalg.norm(error[3:]) < np.pi - 1e-3):
         raise BadArgument("initial_error", initial_error, "X_e with a rotation of less than pi - 1e-3 rad")
     if tool and error.shape == (6,):
-        from mfc_analysis.maths.se3 import exp6
-        from mfc_analysis.trajectories.inverse_kinematics import follow
-        from mfc_analysis.trajectories.tool import ToolLine
-
         ref = equations.reference(t)
-        X_d = ref.X.matrix  # type: ignore[union-attr]
+        assert isinstance(ref, ToolReference)
+        X_d = ref.X.matrix
         line = ToolLine(X_d, X_d @ exp6(-error), 1.0)
         return np.array(follow(equations.robot, line, q_d, np.array([1.0]))[0][0])
     if error.ndim == 1 and error.shape != (n,):

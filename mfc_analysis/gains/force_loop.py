@@ -19,6 +19,7 @@ import numpy as np
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.gains.scalar_loop import LoopMetrics, loop_metrics
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.roots import root_between
 
 _FAST = 1e3  # how far, as a factor of frequency, a bandwidth is sought above the loop with kfp = 0 and its poles together
 
@@ -71,7 +72,6 @@ def force_design(name: str, value: float, k: float, m: float, T: float, b: float
     """Gains >= 0 for which the metric ``name`` (as in ``mfc.gains``) is ``value``; ``BadArgument`` with the reason where there are none."""
     if name == "natural_frequency":
         return _finished(name, value, _placed(value, 1.0, k, m, T, b, zeta), k, m, T, b)
-    from scipy.optimize import brentq
 
     def metric(log_s: float) -> float:
         w, r = _family(math.exp(log_s), k, m, T, b, zeta)
@@ -89,8 +89,8 @@ def force_design(name: str, value: float, k: float, m: float, T: float, b: float
     crossed = np.flatnonzero(sign[:-1] * sign[1:] <= 0)
     if not crossed.size:
         raise _unattainable(name, value, known, k, m, T, b, zeta)
-    left, right = grid[crossed[0]], grid[crossed[0] + 1]
-    s = math.exp(brentq(lambda x: metric(x) - value, left, right, xtol=1e-14, rtol=1e-14))
+    left, right = float(grid[crossed[0]]), float(grid[crossed[0] + 1])
+    s = math.exp(root_between(lambda x: metric(x) - value, left, right, xtol=1e-14, rtol=1e-14))
     w, r = _family(s, k, m, T, b, zeta)
     return _finished(name, value, _placed(w, r, k, m, T, b, zeta), k, m, T, b)
 

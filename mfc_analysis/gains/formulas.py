@@ -341,8 +341,9 @@ def _joint_inertia(robot: Robot, q: Any) -> tuple[Array, Array, str]:
         if end is None:
             raise BadArgument("q", q, "a pose, or a joint reference with a period or a duration")
         grid = np.linspace(0.0, float(end), 401) if end else np.zeros(1)
-        along = diagonal(np.asarray(q(grid)[0]))
-        return _refined(lambda t: diagonal(np.asarray(q(t)[0])), grid, along), along.min(axis=0), "at its largest along the trajectory"
+        asked: Callable[[Any], Any] = q
+        along = diagonal(np.asarray(asked(grid)[0]))
+        return _refined(lambda t: diagonal(np.asarray(asked(t)[0])), grid, along), along.min(axis=0), "at its largest along the trajectory"
     poses = checks.array("q", q, takes=f"a pose of shape ({robot.n},), poses of shape (m, {robot.n}), or a joint reference")
     if poses.ndim not in (1, 2) or poses.shape[-1] != robot.n or poses.size == 0:
         raise BadArgument("q", f"shape {poses.shape}", f"a pose of shape ({robot.n},), poses of shape (m, {robot.n}), or a joint reference")
@@ -358,7 +359,7 @@ def _refined(inertia: Callable[[float], Array], grid: Array, along: Array) -> Ar
     for j, k in enumerate(along.argmax(axis=0)):
         left, right = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
         if right > left and along[:, j].max() > along[:, j].min():
-            near = minimize_scalar(partial(_minus, inertia, j), bounds=(left, right), method="bounded", options={"xatol": 1e-9 * (right - left)})
+            near: Any = minimize_scalar(partial(_minus, inertia, j), bounds=(left, right), method="bounded", options={"xatol": 1e-9 * (right - left)})
             worst[j] = max(worst[j], -near.fun)
     return np.asarray(worst)
 

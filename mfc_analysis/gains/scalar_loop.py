@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.roots import root_between
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ def loop_metrics(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle
     if np.any(poles.real >= 0):
         return LoopMetrics(False, math.nan, math.nan, math.nan, math.nan, tolerance)
     unit = float(np.exp(np.mean(np.log(np.abs(poles)))))  # time in units of the mean pole
-    n, d, closed = (_scaled(p, unit) / (closed[0] * unit ** (closed.size - 1)) for p in (n, d, closed))
+    n, d, closed = (_scaled(p, unit) / (closed[0] * unit ** (closed.size - 1)) for p in (n, d, np.asarray(closed, float)))
     falls = _crossings(n, closed, 0.5)
     ones = _crossings(n, d, 1.0)
     crossover = ones[-1] if ones.size else math.inf
@@ -72,7 +73,6 @@ def _crossings(num: Array, den: Array, level: float) -> Array:
 def _settling(den: Array, closed: Array, tolerance: float) -> float:
     """Last time of |e(t)| = tolerance, e the error of a unit step: E = den / (closed s), den with a root at zero."""
     from scipy.linalg import expm
-    from scipy.optimize import brentq
 
     if closed[-1] == 0 or abs(den[-1]) > 1e-12 * abs(closed[-1]):
         return math.inf  # a steady error that never goes away
@@ -94,7 +94,7 @@ def _settling(den: Array, closed: Array, tolerance: float) -> float:
     def excess(t: float) -> float:
         return abs(float(c @ expm(A * t)[:, 0])) - tolerance
 
-    return float(brentq(excess, left, right, xtol=1e-14 * horizon, rtol=1e-13))
+    return root_between(excess, left, right, xtol=1e-14 * horizon, rtol=1e-13)
 
 
 def _error_samples(A: Array, c: Array, h: float, count: int) -> Array:

@@ -238,7 +238,8 @@ def state_space(argument: str, system: Any) -> tuple[Array, Array, Array, Array]
                 if num.size > den.size:
                     raise BadArgument(argument, f"an improper transfer function (degree {num.size - 1} over {den.size - 1})", takes)
         system = control.ss(system) if system.issiso() else control.tf2ss(system)
-    return tuple(checks.array(argument, M) for M in (system.A, system.B, system.C, system.D))  # type: ignore[return-value]
+    A, B, C, D = (checks.array(argument, M) for M in (system.A, system.B, system.C, system.D))
+    return A, B, C, D
 
 
 def mass_matrix(given: ArrayLike) -> Array:

@@ -13,8 +13,8 @@ from __future__ import annotations
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import Field, dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple, TypeVar, dataclass_transform
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -145,6 +145,15 @@ class Law(ABC):
     def gains(self) -> dict[str, Gain]:
         """The gains by name, in the order of the fields."""
         return {name: gain for name, gain in vars(self).items() if isinstance(gain, Gain)}
+
+    @classmethod
+    def parameters(cls) -> tuple[str, ...]:
+        """What a law of this class is made from, in order."""
+        return tuple(f.name for f in fields(cls) if f.init)  # type: ignore[arg-type]  # subclasses are dataclasses
+
+    def changed(self, **values: Any) -> Self:
+        """The same law with some parameters changed. Raises TypeError for one that it does not take, BadArgument for a value that does not fit."""
+        return replace(self, **values)  # type: ignore[type-var]  # subclasses are dataclasses
 
     @property
     def chosen_form(self) -> str:

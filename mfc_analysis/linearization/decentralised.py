@@ -32,7 +32,7 @@ class Decentralised:
 
     def poles(self) -> Complex:
         """(m, n, k) closed-loop poles [1/s] of each joint alone, slowest first."""
-        found = np.linalg.eigvals(self.A).astype(complex)
+        found: Complex = np.linalg.eigvals(self.A).astype(np.complex128)
         return np.take_along_axis(found, np.argsort(-found.real, axis=-1, kind="stable"), axis=-1)
 
     def __str__(self) -> str:

@@ -227,7 +227,8 @@ class Linearization:
         """Disk margin of all loops at once (m,), at one point or several together. Raises UnknownPoint."""
         from mfc_analysis.analysis.disk import disk_margin
 
-        points = tuple(self._at(one) for one in at) if isinstance(at, (list, tuple)) and at else (self._at(at),)  # type: ignore[arg-type]
+        one = at if at is None or isinstance(at, str) else None
+        points = tuple(self._at(x) for x in at) if at and not isinstance(at, str) else (self._at(one),)
         grid = None if frequencies is None else checks.array("frequencies", frequencies, (None,))
         return disk_margin(self._opened_for(*points), points[0] if len(points) == 1 else points, grid)
 

@@ -157,7 +157,8 @@ def _coefficients(s: Array) -> tuple[Array, Array, Array, Array]:
     k = np.arange(1, _A.size + 1)
     a, b = (2 - k) * _A, ((1 - k) * _A)[1:]
     if np.all(s < _SMALL):
-        return (np.polyval(a[::-1], s), np.polyval(b[::-1], s), np.polyval(np.polyder(a[::-1]), s), np.polyval(np.polyder(b[::-1]), s))
+        A, B, dA, dB = (np.asarray(np.polyval(p, s), float) for p in (a[::-1], b[::-1], np.polyder(a[::-1]), np.polyder(b[::-1])))
+        return A, B, dA, dB
     small = s < _SMALL
     safe = np.where(small, 1.0, s)
     y = np.sqrt(safe)

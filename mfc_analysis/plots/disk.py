@@ -22,7 +22,7 @@ def multipliers(values: ArrayLike, *, title: str = "Floquet multipliers", ax: Ax
     ax.plot(np.cos(turn), np.sin(turn), color=sheet.INK, linewidth=0.9)
     inside = np.abs(found) < 1
     for kept, color in ((inside, sheet.colour(0)), (~inside, sheet.BAD)):
-        ax.plot(found.real[kept], found.imag[kept], linestyle="none", marker="x", markersize=6, markeredgewidth=1.5, color=color)
+        ax.plot(np.real(found)[kept], np.imag(found)[kept], linestyle="none", marker="x", markersize=6, markeredgewidth=1.5, color=color)
     if found.size:
         top = found[int(np.argmax(np.abs(found)))]
         angle = np.degrees(np.angle(top))

@@ -217,8 +217,8 @@ def figure_of(drawn: Any) -> Figure:
     """The figure of what a recipe returned: Axes, several Axes, or a Figure."""
     if isinstance(drawn, (tuple, list)):
         drawn = drawn[0]
-    found = getattr(drawn, "figure", drawn)
-    return found  # type: ignore[no-any-return]
+    found: Figure = getattr(drawn, "figure", drawn)
+    return found
 
 
 def font_folder() -> str:
@@ -254,7 +254,7 @@ def svgs(recipes: Sequence[Any]) -> list[str]:
     import matplotlib
 
     out = []
-    with _SAVING, matplotlib.rc_context(settings()):
+    with _SAVING, matplotlib.rc_context(settings()):  # pyright: ignore[reportArgumentType]  # any key of rcParams
         for recipe in recipes:
             figure = figure_of(recipe() if callable(recipe) else recipe)
             text = io.StringIO()

@@ -109,12 +109,12 @@ def _beside(ax: Axes, w: Array, text: str, x: float, y: float, color: str, up: f
 
 def _crossing(w: Array, values: Complex, factor: float) -> float | None:
     """The frequency on the drawn curve where L crosses the negative real axis nearest to -1/factor."""
-    flips = np.nonzero(np.diff(np.signbit(values.imag)) & (values.real[:-1] < 0))[0]
+    flips = np.nonzero(np.diff(np.signbit(np.imag(values))) & (np.real(values)[:-1] < 0))[0]
     if flips.size == 0:
         return None
-    a, b = values.imag[flips], values.imag[flips + 1]
+    a, b = np.imag(values)[flips], np.imag(values)[flips + 1]
     part = a / np.where(a == b, 1.0, a - b)
-    real = values.real[flips] + part * np.diff(values.real)[flips]
+    real = np.real(values)[flips] + part * np.diff(np.real(values))[flips]
     best = int(np.argmin(np.abs(np.log(np.maximum(-real, 1e-300) * factor))))
     if abs(np.log(max(-real[best], 1e-300) * factor)) > 0.25:
         return None
@@ -144,8 +144,8 @@ def nyquist(
     ax.plot(np.cos(turn), np.sin(turn), color=sheet.GREY, linewidth=0.7, linestyle=":")
     near = np.abs(values) < 40
     shown = np.where(near, values, np.nan)
-    ax.plot(shown.real, shown.imag, color=sheet.colour(index), linewidth=1.3)
-    ax.plot(shown.real, -shown.imag, color=sheet.colour(index), linewidth=0.8, linestyle="--")
+    ax.plot(np.real(shown), np.imag(shown), color=sheet.colour(index), linewidth=1.3)
+    ax.plot(np.real(shown), -np.imag(shown), color=sheet.colour(index), linewidth=0.8, linestyle="--")
     ax.plot([-1], [0], marker="+", markersize=7, markeredgewidth=1.4, color=sheet.BAD)
     half = 2.05
     ax.set_aspect("equal")
@@ -160,7 +160,7 @@ def nyquist(
         ax.plot(-1 + radius * np.cos(turn), radius * np.sin(turn), color=sheet.INK, linewidth=1.0)
         sheet.note(ax, f"1/Ms = {sheet.written(radius)}", (-1, -radius - 0.14), color=sheet.INK, ha="center", va="top")
     if np.isfinite(crossover) and np.isfinite(phase_margin):
-        at = complex(np.interp(np.log(crossover), np.log(w), values.real), np.interp(np.log(crossover), np.log(w), values.imag))
+        at = complex(np.interp(np.log(crossover), np.log(w), np.real(values)), np.interp(np.log(crossover), np.log(w), np.imag(values)))
         arc = np.linspace(np.pi, np.pi + np.radians(phase_margin) * (1 if at.imag < 0 else -1), 60)
         ax.plot(np.cos(arc), np.sin(arc), color=sheet.INK, linewidth=1.6)
         ax.plot([at.real], [at.imag], marker="o", markersize=3.5, color=sheet.INK)

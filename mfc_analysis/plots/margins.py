@@ -112,7 +112,7 @@ def _tighter(found: Any) -> str:
 def _unstable(ax: Axes, times: Array, stable: Bools) -> None:
     if stable.all():
         return
-    edges = np.concatenate(([times[0]], (times[1:] + times[:-1]) / 2, [times[-1]]))
+    edges = [float(t) for t in np.concatenate(([times[0]], (times[1:] + times[:-1]) / 2, [times[-1]]))]
     turns = np.flatnonzero(np.diff(np.concatenate(([0], ~stable, [0]))))
     for first, last in turns.reshape(-1, 2):
         ax.axvspan(edges[first], edges[last], color=sheet.SHADE, linewidth=0, zorder=0.2)

@@ -33,14 +33,14 @@ def poles(
     ax = ax if ax is not None else sheet.axes_for("pole map")
     if path is not None:
         others = np.asarray(path, complex).ravel()
-        ax.plot(others.real, others.imag, linestyle="none", marker=".", markersize=1.6, color=sheet.GREY)
+        ax.plot(np.real(others), np.imag(others), linestyle="none", marker=".", markersize=1.6, color=sheet.GREY)
     if discrete:
         _unit_circle(ax)
     else:
         _half_plane(ax, np.concatenate((s, np.asarray(path, complex).ravel())) if path is not None else s, damping)
-    good = np.abs(s) < 1 if discrete else s.real < 0
+    good = np.abs(s) < 1 if discrete else np.real(s) < 0
     for kept, color in ((good, sheet.colour(index)), (~good, sheet.BAD)):
-        ax.plot(s.real[kept], s.imag[kept], linestyle="none", marker="x", markersize=6, markeredgewidth=1.5, color=color)
+        ax.plot(np.real(s)[kept], np.imag(s)[kept], linestyle="none", marker="x", markersize=6, markeredgewidth=1.5, color=color)
     unit = "" if discrete else " [1/s]"
     sheet.label(ax, ("Re z" if discrete else "Re s") + unit, ("Im z" if discrete else "Im s") + unit, title)
     return ax
@@ -56,9 +56,9 @@ def _half_plane(ax: Axes, s: np.ndarray, damping: float | None) -> None:
     ax.set_xscale("symlog", linthresh=threshold, linscale=0.6)
     ax.set_yscale("symlog", linthresh=threshold, linscale=0.6)
     reach = largest * 2.2
-    right = max(threshold * 1.5, 2.2 * float(max(s.real.max(initial=0.0), 0.0)))
+    right = max(threshold * 1.5, 2.2 * float(max(np.real(s).max(initial=0.0), 0.0)))
     ax.set_xlim(-reach, right)
-    up = max(2.2 * float(np.abs(s.imag).max(initial=0.0)), threshold * 3)
+    up = max(2.2 * float(np.abs(np.imag(s)).max(initial=0.0)), threshold * 3)
     ax.set_ylim(-up, up)
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=threshold))

@@ -51,9 +51,9 @@ def replay(loop: ClosedLoop, times: ArrayLike | None = None, call: str = "") -> 
         base = "robot" if loop.controller_model is loop.robot else _robot(loop.controller_model, "controller_model", missing)
         arguments.append(f"controller_model={base}")
     if loop.environment is not None:
-        one = isinstance(loop.environment, Environment)
-        surfaces = [_value(s, "environment", missing) for s in ([loop.environment] if one else loop.environment)]  # type: ignore[union-attr]
-        arguments.append("environment=" + (surfaces[0] if one else f"[{', '.join(surfaces)}]"))
+        given = loop.environment
+        surfaces = [_value(s, "environment", missing) for s in ([given] if isinstance(given, Environment) else given)]
+        arguments.append("environment=" + (surfaces[0] if isinstance(given, Environment) else f"[{', '.join(surfaces)}]"))
     if loop.q_start is not None:
         arguments.append(f"q_start={_value(loop.q_start, 'q_start', missing)}")
     if loop.hardware is not None:
@@ -158,7 +158,8 @@ def _candidates(robot: Robot) -> list[tuple[str, Callable[[], Robot]]]:
 
     out: list[tuple[str, Callable[[], Robot]]] = []
     if robot.origin is not None:
-        path, given = robot.origin
+        path: Any = robot.origin[0]
+        given: dict[str, Any] = dict(robot.origin[1])
         default = {name: p.default for name, p in signature(Robot.from_urdf).parameters.items()}
         shown = "".join(f", {name}={x!r}" for name, x in given.items() if x is not None and x != default.get(name))
         out.append((f"mfc.Robot.from_urdf({_nearby(path)!r}{shown})", lambda: Robot.from_urdf(path, **given)))

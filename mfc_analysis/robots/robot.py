@@ -428,7 +428,7 @@ class Robot:
 
 
 def _task_inertia(M: Array, J: Array) -> Array:
-    Lambda: Array = np.linalg.inv(J @ np.linalg.solve(M, np.swapaxes(J, -1, -2)))
+    Lambda: Array = np.asarray(np.linalg.inv(J @ np.linalg.solve(M, np.swapaxes(J, -1, -2))), float)
     return 0.5 * (Lambda + np.swapaxes(Lambda, -1, -2))
 
 

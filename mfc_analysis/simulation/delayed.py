@@ -74,13 +74,14 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
         return rates_now
 
     segment = min(delays.values())
-    x: Array | None = x0
+    x = x0
     count = int(np.ceil((end - start) / segment - 1e-9))
     for k in range(count):
         begin, stop = start + k * segment, min(start + (k + 1) * segment, end)
-        x = run.integrate(rates, begin, stop, x, short=True)  # type: ignore[arg-type]
-        if x is None:
+        reached = run.integrate(rates, begin, stop, x, short=True)
+        if reached is None:
             return
+        x = reached
         t = begin + NODES * (stop - begin)
         states = np.stack([run.path.at(float(ti)) for ti in t])
         recorded = Wires({name: np.stack([history[name].at(float(ti) - d) for ti in t]) for name, d in delays.items()})

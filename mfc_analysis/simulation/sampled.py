@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, timed
 from mfc_analysis.errors import MfcError
+from mfc_analysis.maths.arrays import Ints
 from mfc_analysis.maths.dual import Dual, Vector, value
 from mfc_analysis.maths.expm import expm_integral
 from mfc_analysis.simulation.run import Run
@@ -96,7 +97,7 @@ def _held_rates(run: Run, held: Array) -> Callable[[float, Array], Array]:
     return rates
 
 
-def _own_rates(run: Run, rates: dict[str, Vector], own: Array) -> Array:
+def _own_rates(run: Run, rates: dict[str, Vector], own: Ints) -> Array:
     e = run.equations
     out = np.zeros(e.nx)
     for name, rate in rates.items():

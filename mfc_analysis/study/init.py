@@ -186,12 +186,12 @@ def unmoving(urdf: str | os.PathLike[str], tool: str | None) -> tuple[str, ...]:
     joints = {str(j.get("name")): j for j in ElementTree.fromstring(text).findall("joint")}
     if tool is None:
         return mimic
-    above = {str(j.find("child").get("link")): name for name, j in joints.items()}  # type: ignore[union-attr]
-    link = str(joints[tool].find("child").get("link")) if tool in joints and tool not in above else tool  # type: ignore[union-attr]
+    above = {_link(j, "child"): name for name, j in joints.items()}
+    link = _link(joints[tool], "child") if tool in joints and tool not in above else tool
     chain = set()
     while link in above:
         chain.add(above[link])
-        link = str(joints[above[link]].find("parent").get("link"))  # type: ignore[union-attr]
+        link = _link(joints[above[link]], "parent")
     return tuple(name for name, j in joints.items() if j.get("type") != "fixed" and name not in chain) if chain else mimic
 
 
@@ -219,3 +219,9 @@ def _list(values: Array) -> str:
 def _comment(text: str) -> str:
     """Text on one line of a comment."""
     return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def _link(joint: ElementTree.Element, end: str) -> str:
+    """The name of a joint's "parent" or "child" link; the URDF has been checked."""
+    found = joint.find(end)
+    return "" if found is None else str(found.get("link"))

@@ -51,7 +51,7 @@ def _walk(loc: Sequence[str | int], raw: Any) -> tuple[str, type[Table], Any]:
             continue
         key = f"{key}.{part}" if key else part
         inner = tables_of(table.model_fields[part].annotation) if part in table.model_fields else []
-        here = here[part] if known else None
+        here = here[part] if isinstance(here, Mapping) and known else None
         if inner and (i != last or not known or isinstance(here, (Mapping, list))):
             kind = here.get("kind") if isinstance(here, Mapping) else None
             table = REFERENCES[kind] if part == "reference" and isinstance(kind, str) and kind in REFERENCES else inner[0]

@@ -208,7 +208,7 @@ class Parts:
                     raise UnknownName("name", table.name, known)
                 kind = getattr(laws, str(table.name))
             given = {key: value for key, value in table.given().items() if key not in ("equation", "name") and value is not None}
-            takes = (*(f.name for f in fields(kind) if f.init), "gains")  # type: ignore[arg-type]
+            takes = (*kind.parameters(), "gains")
             if table.gains is not None:
                 given.pop("gains")
                 for key, value in self._gains(table.gains).items():
@@ -276,7 +276,7 @@ class Parts:
         """Hardware of the study, some fields changed; None: ideal."""
         from mfc_analysis.dynamics.hardware import Hardware
 
-        given = ({} if self.table.hardware is None else self.table.hardware.given()) | dict(changes or {})
+        given: dict[str, Any] = {**({} if self.table.hardware is None else self.table.hardware.given()), **(changes or {})}
         with self._in("hardware"):
             return Hardware(**given) if given else None
 
@@ -343,7 +343,8 @@ def _changed(robot: Robot, options: dict[str, Any]) -> Robot:
     damping = np.zeros(robot.n)
     damping[robot.order] = robot.viscous
     model.damping = damping
-    return Robot.from_pinocchio(model, **({"tool": robot.tool} | options))
+    given: dict[str, Any] = {"tool": robot.tool, **options}
+    return Robot.from_pinocchio(model, **given)
 
 
 def _with_viscous(old: Any, viscous: float) -> Any:

@@ -108,7 +108,7 @@ class Quintic(JointReference):
 
     q0: ArrayLike
     q1: ArrayLike
-    duration: float = 2.0  # [s]
+    duration: float = 2.0  # [s]  # pyright: ignore[reportIncompatibleMethodOverride]  # a field for the property
     _q0: Array = field(init=False, repr=False)
     _step: Array = field(init=False, repr=False)
 

@@ -122,7 +122,7 @@ class ToolLine(ToolReference):
 
     X0: Any
     X1: Any
-    duration: float = 2.0  # [s]
+    duration: float = 2.0  # [s]  # pyright: ignore[reportIncompatibleMethodOverride]  # a field for the property
     _step: Array = field(init=False, repr=False)
     _angle: float = field(init=False, repr=False)
     _turning: _Turning = field(init=False, repr=False)

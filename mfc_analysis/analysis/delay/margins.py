@@ -123,6 +123,7 @@ def _metrics(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: C
     gain: list[tuple[Ints, Array, Complex]] = []
     phase: list[tuple[Ints, Array, Complex]] = []
     peaks = np.ones(ch.H0.shape[1]), np.full(ch.H0.shape[1], np.inf)
+    metrics: dict[str, Array] = {}
     for _ in range(6):
         piece = _resolved(searched, low_end, high, float(cut.T.max()))
         H = point.H(piece)

@@ -75,7 +75,7 @@ def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
         return out
     for i, point in enumerate(delayed_points(system)):
         zeros = point.zeros + point.apart
-        roots = _ordered(np.concatenate([np.zeros(zeros), rightmost(point, max(0, count - zeros))]))[:count]
+        roots = _ordered(np.concatenate([np.zeros(zeros, np.complex128), rightmost(point, max(0, count - zeros))]))[:count]
         out[i, : roots.size] = roots
     return out
 
@@ -99,6 +99,7 @@ def rightmost(point: Delayed, count: int) -> Complex:
         roots = np.linalg.eigvals(point.A).astype(np.complex128)
         return _ordered(roots[np.argsort(np.abs(roots), kind="stable")[point.zeros :]])[: max(count, 2)]
     more, found_before = 0, -1
+    good = np.zeros(0, np.complex128)
     for _ in range(6):
         nodes = np.minimum(np.ceil(0.9 * reach * point.T) + 10 + more, MOST_NODES).astype(int)
         found = _collocated(point, nodes)

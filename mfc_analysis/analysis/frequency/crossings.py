@@ -59,7 +59,8 @@ def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossi
     left &= ~found.ch.empty
     gain, phase = _squared_frequencies(found.ch, found.poles, left)
     parts.append(_candidates(gain))
-    point, channel, start = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    point, channel = np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+    start = np.concatenate([part[2] for part in parts])
     return _polished(found, point, channel, start, gain=True), _polished(found, *_candidates(phase), gain=False)
 
 

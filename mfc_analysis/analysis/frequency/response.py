@@ -62,7 +62,7 @@ def wire_response(system: OpenSystem, index: int, s: Complex) -> Complex:
 
 def _solved(matrix: Complex, B: Array) -> Complex:
     try:
-        return np.asarray(np.linalg.solve(matrix, B.astype(complex)))
+        return np.asarray(np.linalg.solve(matrix, B.astype(complex)), np.complex128)
     except np.linalg.LinAlgError:
         return np.full(B.shape, np.nan, np.complex128)
 

@@ -88,7 +88,9 @@ def _in_two_processes(parts: Sequence[Part]) -> Iterable[Iterable[Section]]:
     """The sections of each part, in order; the parts are independent, and half of them are analysed in a second process."""
     from joblib import Parallel, cpu_count, delayed
 
-    return Parallel(n_jobs=min(2, cpu_count()), return_as="generator")(delayed(part)() for part in parts)  # type: ignore[no-any-return]
+    done: Any = Parallel(n_jobs=min(2, cpu_count()), return_as="generator")(delayed(part)() for part in parts)
+    found: Iterable[Iterable[Section]] = done
+    return found
 
 
 # --- over all loops ----------------------------------------------------------------------------------------------------------

@@ -266,7 +266,7 @@ def shaken() -> Shaken:
     orbit = loop.simulate(t, x=found.orbit, rtol=1e-9, atol=1e-11)
     frozen = loop.linearize(t[:-1], about="simulation", simulation=orbit, coordinates="state").poles().real.max(axis=1)
     values, vectors = np.linalg.eig(found.Phi)
-    worst = vectors[:, int(np.argmax(np.abs(values)))].real
+    worst = np.real(vectors[:, int(np.argmax(np.abs(values)))])
     start = found.orbit + 1e-4 * worst / np.linalg.norm(worst)
     away = loop.simulate(np.linspace(0, 4 * T, 121), x=start, rtol=1e-9, atol=1e-11)
     periods = np.linalg.norm(away.x[::30] - found.orbit, axis=1)

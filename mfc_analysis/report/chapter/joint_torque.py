@@ -76,7 +76,7 @@ def limit_of_ki(view: View) -> Block:
     limit = float((((float(loop.robot.viscous[0]) + kd) * (kp + stiffness)) / loop.robot.mass(q)[:, 0, 0]).min())
     found = []
     for part in (0.99, 1.01):
-        other = replace(loop, law=replace(loop.law, ki=part * limit))  # type: ignore[type-var]
+        other = replace(loop, law=loop.law.changed(ki=part * limit))
         found.append(bool(other.linearize(view.times).stable.all()))
     facts = (
         Fact("Largest integral gain", Number(limit, "Nm/(rad s)"), "(b + kd)(kp + dg/dq)/I, the smallest along the path"),
@@ -205,7 +205,7 @@ def _exactness(designs: Designs) -> str:
 
 def characteristic(A: Array) -> Array:
     """(m, nx + 1) characteristic polynomials, highest power first."""
-    return np.stack([np.poly(a) for a in A])
+    return np.asarray(np.stack([np.poly(a) for a in A]), float)
 
 
 def design_polynomial(designs: Designs, arm: Arm) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -135,7 +135,7 @@ def _form(title: str, source: str, loop: ClosedLoop, arm: Arm, run: Callable[[Cl
 
 def _two(designs: Designs, equation: str, arm: Arm, sources: tuple[str, str], law: Any = None) -> tuple[Form, Form]:
     base = designs.loop(equation, arm) if law is None else replace(designs.loop(equation, arm), law=law)
-    printed = replace(base, law=replace(base.law, form="printed"))  # type: ignore[type-var]
+    printed = replace(base, law=base.law.changed(form="printed"))
     return _form("As printed", sources[0], printed, arm), _form("Standard", sources[1], base, arm)
 
 
@@ -247,9 +247,9 @@ def _computed(letter: str) -> tuple[str, str]:
     return f"{feedback} + hat(h)(q_d, dot(q)_d)", f"{feedback} + hat(h)(q, dot(q))"
 
 
-def _triple_law(w: float, form: str = "standard") -> laws.ComputedTorque:
+def _triple_law(w: float, form: Literal["standard", "printed"] = "standard") -> laws.ComputedTorque:
     kp, ki, kd = triple_pole(w)
-    return laws.ComputedTorque(kp=kp, ki=ki, kd=kd, form=form)  # type: ignore[arg-type]
+    return laws.ComputedTorque(kp=kp, ki=ki, kd=kd, form=form)
 
 
 def _rightmost(arm: Arm, w: float, form: str) -> float:

@@ -163,7 +163,7 @@ def arm_section() -> Section:
     loop = arm_loop(hardware=FILTERED)
     swept, ideal = over_stiffness(loop, SPAN), over_stiffness(arm_loop(), SPAN)
     limit, late_limit = stable_up_to(loop), stable_up_to(arm_loop(hardware=ALL))
-    kick = np.asarray(np.linalg.solve(loop.robot.jacobian(POSE), 1e-3 * Z))
+    kick = np.asarray(np.linalg.solve(loop.robot.jacobian(POSE), 1e-3 * Z), float)
     found = mapped(lambda k, g: arm_loop(k, kfp=g, hardware=FILTERED), np.geomspace(0.3, 10, 12), ((limit / ASIDE, KFP), (limit * ASIDE, KFP)), kick)
     shown = [int(np.argmin(np.abs(SPAN - k))) for k in (1e2, 1e3, 1e4, 1e5, 1e6)]
     m = over_stiffness(loop, SPAN[shown]).margins("force")

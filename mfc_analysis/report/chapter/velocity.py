@@ -110,7 +110,7 @@ def open_loop(designs: Designs) -> Section:
 
 def proportional(designs: Designs) -> Section:
     """9.2: pole -k, phase margin 90 degrees, delay margin pi / 2k, error v/k on a ramp."""
-    pages, rows = [], []
+    pages, rows, lag = [], [], 0.0
     k = float(designs.law("9.2", arms()[0]).gains()["kp"].matrix(1)[0, 0])
     for arm, view in _views(designs, "9.2"):
         lag = steady(designs, "9.2", arm, SLOPE, 0.0)
@@ -153,7 +153,7 @@ def proportional(designs: Designs) -> Section:
 
 def integral(designs: Designs) -> Section:
     """9.3: s^2 + kp s + ki; error 0 on a ramp, a/ki on a parabola."""
-    pages, rows = [], []
+    pages, rows, ramp = [], [], 0.0
     law = designs.law("9.3", arms()[0])
     kp, ki = (float(law.gains()[name].matrix(1)[0, 0]) for name in ("kp", "ki"))
     for arm, view in _views(designs, "9.3"):

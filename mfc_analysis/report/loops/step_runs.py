@@ -146,7 +146,7 @@ def _size(loop: ClosedLoop, source: str, channel: str) -> tuple[float, str]:
 
 def wrench_asked(loop: ClosedLoop) -> Array:
     """(6,) the wrench that a force law asks for; a copy."""
-    return np.array(getattr(loop.law, "F_d"), dtype=np.float64)  # noqa: B009 - not every law has one
+    return np.zeros(6) if loop.law.desired_wrench is None else np.array(loop.law.desired_wrench)
 
 
 def _stepped(loop: ClosedLoop, source: str, size: float) -> ClosedLoop:
@@ -154,7 +154,7 @@ def _stepped(loop: ClosedLoop, source: str, size: float) -> ClosedLoop:
     if source.startswith("F_d_"):
         F_d = wrench_asked(loop)
         F_d[WRENCH.index(source.removeprefix("F_d_"))] += size
-        return replace(loop, law=replace(loop.law, F_d=F_d), environment=surfaces)  # type: ignore[type-var]
+        return replace(loop, law=loop.law.changed(F_d=F_d), environment=surfaces)
     tool = source.startswith("X_d_")
     delta = np.zeros(6 if tool else loop.robot.n)
     delta[TWIST.index(source.removeprefix("X_d_")) if tool else loop.robot.joint_names.index(source.removeprefix("q_d_"))] = size
