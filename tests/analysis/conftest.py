@@ -90,6 +90,20 @@ def scaled(system: OpenSystem, factor: float, wire: int = 0) -> OpenSystem:
     return replace(system, C=C, D=D)
 
 
+def companion(*coefficients: float) -> np.ndarray:
+    """s^n + c[0] s^(n-1) + ... + c[n-1]; states are derivatives of rising order."""
+    n = len(coefficients)
+    A = np.eye(n, k=1)
+    A[-1] = -np.asarray(coefficients, float)[::-1]
+    return A
+
+
+def mixed(A: np.ndarray, rng: np.random.Generator, spread: float = 1.0) -> np.ndarray:
+    """The same roots in other coordinates."""
+    T = np.linalg.qr(rng.normal(size=A.shape))[0] * 10.0 ** rng.uniform(-spread, spread, len(A))
+    return T @ A @ np.linalg.inv(T)
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20240601)

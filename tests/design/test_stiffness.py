@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
-from mfc_analysis.analysis.system import without_idle
-from mfc_analysis.design.stiffness import at_stiffness, growth, over_stiffness, stable_up_to, stiffness_map
+from mfc_analysis.design.stiffness import at_stiffness, over_stiffness, stable_up_to, stiffness_map
 from mfc_analysis.errors import BadArgument
 
 F_D = np.array([0, 0, 10.0, 0, 0, 0])
@@ -73,14 +72,6 @@ def test_margins_over_stiffness_are_those_of_each_loop() -> None:
     for i, k in enumerate((1e3, 5e3)):
         alone = at_stiffness(slider(torque_lag=2e-3), k).linearize().margins("force")
         assert_allclose(swept.phase_deg[i, 2], alone.phase_deg[0, 2], rtol=1e-9)
-
-
-def test_idle_integrals_go_and_nothing_else_changes() -> None:
-    opened = slider(torque_lag=2e-3).linearize().opened
-    less = without_idle(opened)
-    assert opened.nx - less.nx == 5
-    assert growth(less)[0] == growth(opened)[0] > -10
-    assert without_idle(less) is less
 
 
 def test_a_surface_pressed_in_at_the_operating_point_keeps_its_force() -> None:
