@@ -8,13 +8,11 @@ import subprocess
 import sys
 
 import pytest
-from typer.testing import CliRunner
 
 from mfc_analysis import __version__
-from mfc_analysis.cli.app import app
-from mfc_analysis.cli.terminal import plain
 from mfc_analysis.laws import LAWS
 from mfc_analysis.study.shipped import folder
+from tests.cli.commands import SMALL, run, small
 
 URDF = """<robot name="{name}"><link name="base"/>
 <joint name="{joint}" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
@@ -26,33 +24,6 @@ URDF = """<robot name="{name}"><link name="base"/>
 <link name="hand"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
 <inertia ixx="0.002" iyy="0.004" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial></link>
 </robot>"""
-
-SMALL = """
-title = "small"
-q_start = [0.3]
-[robot]
-name = "single_joint"
-[law]
-equation = "9.8"
-kp = 50.0
-ki = 100.0
-kd = 10.0
-[reference]
-kind = "Hold"
-[requirements]
-phase_deg = {phase}
-"""
-
-
-def run(*args: object):
-    return CliRunner().invoke(app, [str(a) for a in args])
-
-
-def small(tmp_path, phase: float = 30.0, more: str = "", name: str = "small.toml"):
-    path = tmp_path / name
-    path.write_text(SMALL.format(phase=phase) + more, encoding="utf-8")
-    return path
-
 
 # --- check ---------------------------------------------------------------------------------------------------------------
 
@@ -255,69 +226,12 @@ def test_the_chapter_is_written_into_the_folder_in_the_formats_asked_for(tmp_pat
 # --- gains, exercises, lists ---------------------------------------------------------------------------------------------
 
 
-def test_gains_prints_what_the_helper_returns():
-    from mfc_analysis import gains, hertz
-
-    assert run("gains", "pid", "--bandwidth-hz", 4).stdout.strip() == str(gains.pid(bandwidth=hertz(4)))
-    several = run("gains", "pd", "--natural-frequency-hz", 10, "--damping", 2, "--inertia", "0.003609725,0.00425").stdout
-    assert "14.2506" in several and "16.7783" in several and "0.907223" in several and "1.068142" in several
-    force = run("gains", "force-pi", "--bandwidth-hz", 1, "--stiffness", 1e4, "--mass", 2, "--lag", 0.001).stdout
-    assert force.strip() == str(gains.force_pi(bandwidth=hertz(1), stiffness=1e4, mass=2, lag=0.001))
-    arm = run("gains", "joint-pid", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--bandwidth", 20)
-    assert arm.exit_code == 0 and "[N" in arm.stdout
-    assert run("gains", "cartesian-damping", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--stiffness", 1000).exit_code == 0
-
-
-def test_gains_take_the_robot_and_the_pose_of_a_study(tmp_path):
-    study = tmp_path / "one.toml"
-    assert run("init", "single_joint", "--out", study).exit_code == 0
-    of_study = run("gains", "joint_pid", "--bandwidth-hz", 4, "--robot", study)
-    of_robot = run("gains", "joint-pid", "--bandwidth-hz", 4, "--robot", "single_joint")
-    assert of_study.exit_code == 0 and of_study.stdout == of_robot.stdout
-    refused = run("gains", "joint-pid", "--bandwidth-hz", 4, "--robot", study, "--tool", "tool")
-    assert refused.exit_code == 2 and "--tool" in refused.stderr
-
-
 @pytest.mark.parametrize("command", ["gains", "exercise"])
 def test_help_says_the_units(command):
     said = " ".join(run(command, "--help").stdout.replace("│", " ").split())
     for unit in {"gains": ("in rad/s.", "in s.", "in N/m", "in kg."), "exercise": ("in degrees.", "in kg m^2.", "in m.", "in s.")}[command]:
         assert unit in said
     assert " ." not in said  # an empty place where a unit in brackets was taken for markup
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("pdi", "--bandwidth", 1), "did you mean"),
-        (("pid",), "exactly one of the four"),
-        (("pid", "--bandwidth", 1, "--crossover", 2), "exactly one"),
-        (("pid", "--bandwidth", 1, "--bandwidth-hz", 2), "--bandwidth"),
-        (("pid", "--bandwidth", -1), "bandwidth"),
-        (("p", "--bandwidth", 1, "--damping", 1), "--damping"),
-        (("pid", "--bandwidth", 1, "--inertia", "a"), "--inertia"),
-        (("joint-pid", "--bandwidth", 1), "--robot"),
-        (("force-pi", "--bandwidth", 1, "--mass", 1), "--stiffness"),
-        (("pid", "--bandwidth", 1, "--stiffness", 3), "--stiffness"),
-    ],
-)
-def test_gains_that_cannot_be_are_bad_input(options, said):
-    done = run("gains", *options)
-    assert done.exit_code == 2 and said in done.stderr
-
-
-def test_exercises_run_unattended_say_their_defaults_and_write_the_graph(tmp_path):
-    done = run("exercise", "9.3", "--kp", 80, "--out", tmp_path / "o")
-    assert done.exit_code == 0, done.output
-    assert "(default)" in done.stdout and re.search(r"kp \[1/s\^2\] +80\n", done.stdout)
-    assert "inverse dynamics" in done.stdout and "starts at q = 0 deg" in done.stdout
-    assert (tmp_path / "o" / "exercise-9-3.svg").read_text(encoding="utf-8").startswith("<?xml")
-    torques = run("exercise", "9.4", "--theta-deg", 90, "--d", 2)
-    assert "tau = J^T F = [-6 N m, 4 N]" in torques.stdout
-    unstable = run("exercise", "9.1", "--ki", 5000)
-    assert "NOT STABLE" in unstable.stdout and "lower ki below" in unstable.stdout
-    assert run("exercise", "9.9").exit_code == 2
-    assert run("exercise", "9.1", "--fx", 1).exit_code == 2
 
 
 def test_laws_and_robots_list_what_there_is():
@@ -342,21 +256,3 @@ def test_help_loads_nothing_heavy():
 
 def test_the_version_is_said():
     assert run("--version").stdout.strip() == f"mfc-analysis {__version__}"
-
-
-def test_no_progress_bar_without_a_terminal(tmp_path):
-    done = run("check", small(tmp_path, 10.0, "[ranges]\ntorque_lag = [0.0, 0.01]\n"))
-    assert done.stderr == "" and "\x1b" not in done.stdout
-
-
-def test_what_does_not_print_is_spelt_out(tmp_path):
-    assert plain("a\x1b[31mb\x07\nc é ≥") == "a\\x1b[31mb\\x07\nc é ≥"
-    done = run("check", small(tmp_path, 10.0, '[[loop]]\nname = "\\u001b[31mred [bold]x[/bold]"\n'))
-    assert "\x1b" not in done.stdout and "\\x1b[31mred [bold]x[/bold]" in done.stdout
-
-
-def test_warnings_are_a_line_each_on_the_standard_error(tmp_path):
-    path = small(tmp_path)
-    path.write_text(path.read_text().replace('name = "single_joint"', 'name = "single_joint"\nparameters = { inertia = 0.005 }'))
-    done = run("check", path)
-    assert done.stderr.count("warning: inertia=0.005") == 1 and ".py" not in done.stderr
