@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from functools import partial
 
 import matplotlib
 import numpy as np
@@ -16,7 +15,6 @@ from mfc_analysis import plots
 from mfc_analysis.errors import UnknownName
 from mfc_analysis.plots import figure as sheet
 from mfc_analysis.plots.batch import drawn
-from mfc_analysis.plots.frequency import phase_deg
 from tests.plots import kinds
 
 KINDS = kinds.every_kind()
@@ -82,33 +80,6 @@ def test_an_unknown_kind_of_sheet_lists_those_there_are():
     assert "bode" in caught.value.known
 
 
-@pytest.mark.parametrize("lag_turns", [0, 1, 2, -1])
-def test_the_phase_is_normalised_at_the_crossover_whatever_its_turns_before(lag_turns):
-    w = np.geomspace(1e-2, 1e3, 2000)
-    L = 1 / (1j * w) ** 2 * (1 + 1j * w) * 2  # PD on a double integrator: phase margin at its crossover
-    crossover = w[np.argmin(np.abs(np.abs(L) - 1))]
-    margin = 180 + np.degrees(np.angle(L[np.argmin(np.abs(np.abs(L) - 1))]))
-    turned = L * np.exp(2j * np.pi * lag_turns)
-    at = np.interp(np.log(crossover), np.log(w), phase_deg(turned, w, crossover))
-    assert at == pytest.approx(-180 + margin, abs=0.1)
-
-
-def test_a_phase_that_falls_past_minus_540_before_its_crossover_still_meets_its_arrow():
-    w = np.geomspace(1e-2, 1e3, 4000)
-    L = 30 / (1 + 1j * w / 0.1) ** 2 * np.exp(-1j * w * 3)
-    at = int(np.argmin(np.abs(np.abs(L) - 1)))
-    assert abs(phase_deg(L, w, w[at])[at] + 180) <= 180
-
-
-def test_gain_arrows_stand_where_the_drawn_curve_crosses_the_negative_real_axis():
-    from mfc_analysis.plots.frequency import _crossing
-
-    w = np.geomspace(0.01, 100, 3000)
-    L = 25 / ((1j * w) ** 3 + 10 * (1j * w) ** 2 + 10 * 1j * w + 10)  # crosses at w = sqrt(10): L = 25/(10 - 100) = -1/3.6
-    assert _crossing(w, L, 3.6) == pytest.approx(np.sqrt(10), rel=1e-4)
-    assert _crossing(w, L, 50.0) is None
-
-
 def test_two_processes_draw_what_one_draws_and_in_order():
     recipes = [KINDS["poles"], KINDS["disk"], lambda: plots.poles(np.array([-1.0]))] * 8
     assert drawn(recipes) == sheet.svgs(recipes)
@@ -132,19 +103,6 @@ def test_importing_plots_does_not_load_matplotlib():
         [sys.executable, "-c", "import sys, mfc_analysis.plots; print('matplotlib' in sys.modules)"], capture_output=True, text=True, check=True
     )
     assert run.stdout.strip() == "False"
-
-
-def test_a_stability_map_draws_its_boundary_where_the_growth_is_zero():
-    x, y = np.linspace(0, 2, 41), np.linspace(0, 2, 41)
-    ax = plots.stability_map(x, y, x[None, :] - 1 + 0 * y[:, None], xlabel="x", ylabel="y", log="")
-    line = next(c for c in ax.collections if c.get_linewidth()[0] == 1.2).get_paths()[0].vertices
-    np.testing.assert_allclose(line[:, 0], 1.0, atol=1e-12)
-
-
-def test_a_map_is_small_and_names_its_regions():
-    text = sheet.svg(partial(plots.stability_map, *kinds._map(), xlabel="k [N/m]", ylabel="g [-]"))
-    assert len(text) < 70_000
-    assert ">stable<" in text.replace("\n", "") and ">unstable<" in text.replace("\n", "")
 
 
 def test_the_test_of_texts_sees_a_label_that_leaves_the_sheet(monkeypatch):
