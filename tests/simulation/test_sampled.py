@@ -1,8 +1,6 @@
-"""Runs with dead time against the delay equations' closed forms, sampled runs against difference equations and the discrete model."""
+"""Sampled runs against difference equations and the discrete model, whole and fractional dead time among them."""
 
 from __future__ import annotations
-
-from math import factorial
 
 import numpy as np
 import pytest
@@ -12,69 +10,10 @@ from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.loop import ClosedLoop
-from mfc_analysis.simulation.delayed import NODES, History
 from mfc_analysis.trajectories import Hold, Sinusoid
 from tests.conftest import arm, plant, regular_pose
 
 JOINT = robots.single_joint()
-
-
-# --- dead time ---------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("d", [0.02, 0.11, 0.25])
-def test_an_integrator_with_dead_time_follows_its_series(d: float) -> None:
-    """e' = -k e(t - d), e = 1 before: e(t) = 1 + sum over j of (-k)^j (t - (j - 1) d)^j / j! while t > (j - 1) d."""
-    k, t = 5.0, np.linspace(0, 1.3, 27)
-    sim = ClosedLoop(JOINT, L.VelocityP(k), Hold([0.3]), hardware=Hardware(delay=d)).simulate(t, 1.0, rtol=1e-9, atol=1e-11)
-    want = np.ones_like(t)
-    for j in range(1, 80):
-        since = np.maximum(t - (j - 1) * d, 0.0)
-        want += np.where(since > 0, (-k) ** j * (since / 1.0) ** j / factorial(j), 0.0)
-    assert_allclose(sim.error[:, 0], want, atol=2e-7)
-    late = np.maximum(t - d, 0)
-    assert_allclose(sim.tau[:, 0], k * np.interp(late, t, want), atol=0.02 * k)  # what arrives was sent d ago
-    assert np.abs(sim.command - sim.tau).max() > 0.01
-
-
-def test_dead_time_of_the_force_sensor_delays_what_the_law_sees() -> None:
-    """Massless limit by damping: kdamp q' = kfp (F_d - k q(t - d)) + F_d - k q: compared with its own Euler steps of a microsecond."""
-    k, kfp, kdamp, d, F_d, m = 200.0, 1.5, 60.0, 0.05, 10.0, 0.5
-    law = L.DampedForcePI([0, 0, F_d, 0, 0, 0], kfp, None, kdamp)
-    loop = ClosedLoop(robots.slider(m), law, Hold([0.0]), environment=Environment(k), hardware=Hardware(force_delay=d))
-    sim = loop.simulate(np.linspace(0, 0.5, 26), rtol=1e-8, atol=1e-11)
-    h = 2e-5
-    lag, steps = round(d / h), round(0.5 / h)
-    q, v = np.zeros(steps + 1), np.zeros(steps + 1)
-    for i in range(steps):  # semi-implicit steps, error of order h
-        seen = k * q[i - lag] if i >= lag else 0.0
-        a = (F_d + kfp * (F_d - seen) - kdamp * v[i] - k * q[i]) / m
-        v[i + 1] = v[i] + h * a
-        q[i + 1] = q[i] + 0.5 * h * (v[i] + v[i + 1])
-    assert_allclose(sim.q[:, 0], q[:: round(0.02 / h)], atol=2e-5)
-
-
-@pytest.mark.parametrize(("factor", "grows"), [(0.95, False), (1.05, True)])
-def test_both_sides_of_the_delay_margin_in_simulation(factor: float, grows: bool) -> None:
-    law = L.JointPID(20.0, kd=2.0)
-    margin = ClosedLoop(JOINT, law, Hold([0.4])).linearize([0.0], about="equilibrium").margins().delay[0, 0]
-    loop = ClosedLoop(JOINT, law, Hold([0.4]), hardware=Hardware(delay=factor * margin))
-    rest = ClosedLoop(JOINT, law, Hold([0.4])).equilibrium().q
-    sim = loop.simulate(np.linspace(0, 12, 1201), q=rest + 1e-3)
-    off = np.abs(sim.q[:, 0] - rest[0])
-    assert (off[-200:].max() > off[200:400].max()) == grows
-
-
-def test_a_recorded_signal_is_read_back_by_interpolation_and_is_constant_before() -> None:
-    history = History(0.0, np.array([2.0]))
-    for start in (0.0, 0.5):
-        history.add(start, 0.5, np.sin(start + 0.5 * NODES)[:, None])
-    assert history.at(-1.0)[0] == 2.0
-    t = np.array([0.0, 0.1, 0.3777, 0.5, 0.73, 0.999])
-    assert_allclose([history.at(x)[0] for x in t], np.sin(t), atol=1e-9)
-
-
-# --- sampled -----------------------------------------------------------------------------------------------------------------
 
 
 def test_a_sampled_integrator_takes_steps_of_one_minus_k_t() -> None:
