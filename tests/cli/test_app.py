@@ -13,17 +13,7 @@ from mfc_analysis import __version__
 from mfc_analysis.laws import LAWS
 from mfc_analysis.study.shipped import folder
 from tests.cli.commands import SMALL, run, small
-
-URDF = """<robot name="{name}"><link name="base"/>
-<joint name="{joint}" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
-<limit lower="-2" upper="2" effort="30" velocity="3"/></joint>
-<link name="arm"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
-<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="wrist" type="revolute"><parent link="arm"/><child link="hand"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
-<limit lower="-2" upper="2" effort="10" velocity="3"/></joint>
-<link name="hand"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
-<inertia ixx="0.002" iyy="0.004" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial></link>
-</robot>"""
+from tests.study.samples import URDF
 
 # --- check ---------------------------------------------------------------------------------------------------------------
 
@@ -167,28 +157,6 @@ def test_init_writes_a_study_that_runs_as_it_is(tmp_path, monkeypatch, joint):
     again = run("init", "my arm.urdf", "--out", "studies/first.toml")
     assert again.exit_code == 2 and "--force" in again.stderr
     assert run("init", "my arm.urdf", "--out", "studies/first.toml", "--force").exit_code == 0
-
-
-@pytest.mark.parametrize("robot", ["ur5", "rp", "planar_2r", "single_joint", "slider"])
-def test_init_knows_the_embedded_robots(tmp_path, robot):
-    path = tmp_path / "s.toml"
-    assert run("init", robot, "--out", path).exit_code == 0
-    assert run("check", path).exit_code == 0
-
-
-def test_init_locks_what_does_not_move_the_tool_and_asks_for_the_tool_where_it_is_not_plain(tmp_path):
-    finger = """<joint name="f{0}" type="prismatic"><parent link="hand"/><child link="finger{0}"/><axis xyz="0 1 0"/>{1}
-    <limit lower="0" upper="0.04" effort="5" velocity="1"/></joint>
-    <link name="finger{0}"><inertial><mass value="0.01"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-    arm = URDF.replace("{name}", "arm").replace("{joint}", "turn")
-    arm = arm.replace("</robot>", finger.format(1, "") + finger.format(2, '<mimic joint="f1"/>') + "</robot>")
-    (tmp_path / "arm.urdf").write_text(arm)
-    assert run("init", tmp_path / "arm.urdf", "--out", tmp_path / "s.toml", "--tool", "hand").exit_code == 0
-    assert 'locked = ["f1", "f2"]' in (tmp_path / "s.toml").read_text()
-    assert run("check", tmp_path / "s.toml").exit_code == 0
-    (tmp_path / "open.urdf").write_text(arm.replace('<mimic joint="f1"/>', ""))
-    done = run("init", tmp_path / "open.urdf", "--out", tmp_path / "t.toml")
-    assert done.exit_code == 2 and "--tool" in done.stderr and "'finger1', 'finger2'" in done.stderr
 
 
 def test_init_of_what_is_no_robot_is_bad_input(tmp_path):

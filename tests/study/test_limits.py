@@ -8,7 +8,7 @@ import pytest
 
 from mfc_analysis import design
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.study.check import as_json, check
+from mfc_analysis.study.check import check
 from mfc_analysis.study.limits import limits
 from mfc_analysis.study.read import read
 
@@ -66,9 +66,3 @@ def test_a_bandwidth_needs_gains_from_a_helper_and_a_stiffness_a_surface(tmp_pat
         limits(study(tmp_path, "max_bandwidth = true", plain).loops[0])
     with pytest.raises(BadArgument, match="environment"):
         limits(study(tmp_path, "max_stiffness = true").loops[0])
-
-
-def test_the_limits_stand_below_the_check_and_in_its_json(tmp_path):
-    found = check(study(tmp_path, "max_delay = true"), search=True)
-    assert any(line.startswith("limit: largest stable dead time") for line in found[0].sentences())
-    assert '"largest stable dead time"' in as_json(found)

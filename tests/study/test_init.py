@@ -1,0 +1,104 @@
+"""A study for a robot: it runs as it is, its first path keeps within the limits, and what does not move the tool is locked."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+
+import mfc_analysis as mfc
+from mfc_analysis.errors import BadArgument
+from mfc_analysis.study.check import check
+from mfc_analysis.study.init import STRIDE, first_path, friction_rules, study_for, unmoving, write
+from mfc_analysis.study.read import read
+from mfc_analysis.trajectories import Quintic
+from tests.conftest import arm
+from tests.study.samples import URDF
+
+EMBEDDED = ("ur5", "rp", "planar_2r", "single_joint", "slider")
+TWO_LINKS = URDF.replace("{name}", "arm").replace("{joint}", "turn")
+FINGER = """<joint name="f{0}" type="prismatic"><parent link="hand"/><child link="finger{0}"/><axis xyz="0 1 0"/>{1}
+<limit lower="0" upper="0.04" effort="5" velocity="1"/></joint>
+<link name="finger{0}"><inertial><mass value="0.01"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+MIMIC = TWO_LINKS.replace("</robot>", FINGER.format(1, "") + FINGER.format(2, '<mimic joint="f1"/>') + "</robot>")
+TWO_FINGERS = MIMIC.replace('<mimic joint="f1"/>', "")
+
+
+def file(tmp_path, text: str, name: str = "arm.urdf"):
+    (tmp_path / name).write_text(text)
+    return tmp_path / name
+
+
+@pytest.mark.parametrize("robot", EMBEDDED)
+def test_the_study_of_an_embedded_robot_is_met_as_it_is(tmp_path, robot):
+    path = write(robot, tmp_path / "s.toml")
+    (found,) = check(read(path))
+    assert found.status == "PASS" and found.loop.loop.robot.name == robot
+
+
+@pytest.mark.parametrize("robot", [*EMBEDDED, "panda", "kinova"])
+def test_the_first_path_keeps_within_the_limits_at_half_their_speed(robot):
+    body = getattr(mfc.robots, robot)() if robot in EMBEDDED else arm(robot)
+    q0, q1, duration = first_path(body)
+    ref, t = Quintic(q0, q1, duration)(np.linspace(0, duration, 401)), body.limits
+    assert (ref.q >= t.lower).all() and (ref.q <= t.upper).all()
+    assert (np.abs(ref.v) <= 0.5 * np.array(t.velocity) * (1 + 1e-9)).all()
+    assert np.abs(q1 - q0).max() > 0.01 and (np.abs(q1 - q0) <= STRIDE + 1e-9).all() and duration >= 2.0
+
+
+def test_what_moves_the_tool_in_no_way_is_locked(tmp_path):
+    assert unmoving(file(tmp_path, MIMIC), "hand") == ("f1", "f2") == unmoving(file(tmp_path, TWO_FINGERS), "hand")
+    assert unmoving(file(tmp_path, MIMIC), "finger1") == ("f2",)
+    assert unmoving(file(tmp_path, MIMIC), None) == ("f2",) and unmoving(file(tmp_path, TWO_FINGERS), None) == ()
+    assert unmoving(file(tmp_path, TWO_LINKS), "arm") == ("wrist",)
+
+
+def test_a_study_with_locked_joints_names_them_and_runs(tmp_path):
+    path = write(str(file(tmp_path, MIMIC)), tmp_path / "s.toml", "hand")
+    assert tomllib.loads(path.read_text())["robot"]["locked"] == ["f1", "f2"]
+    (found,) = check(read(path))
+    assert found.status == "PASS" and found.loop.loop.robot.joint_names == ("turn", "wrist")
+
+
+def test_a_tool_that_is_not_plain_is_asked_for_with_what_it_could_be(tmp_path):
+    with pytest.raises(BadArgument) as why:
+        write(str(file(tmp_path, TWO_FINGERS)), tmp_path / "s.toml")
+    assert why.value.argument == "--tool" and "'finger1', 'finger2'" in why.value.takes and not (tmp_path / "s.toml").exists()
+
+
+def test_a_file_that_is_there_is_kept_unless_it_may_be_overwritten(tmp_path):
+    (tmp_path / "s.toml").write_text("mine")
+    with pytest.raises(BadArgument) as why:
+        write("ur5", tmp_path / "s.toml")
+    assert why.value.argument == "--out" and (tmp_path / "s.toml").read_text() == "mine"
+    assert write("ur5", tmp_path / "s.toml", overwrite=True).read_text() != "mine"
+
+
+def test_a_urdf_is_named_relative_to_the_study_and_without_a_place_the_study_has_its_name(tmp_path, monkeypatch):
+    file(tmp_path, TWO_LINKS, "my arm.urdf")
+    deep = write(str(tmp_path / "my arm.urdf"), tmp_path / "a" / "b" / "s.toml")
+    assert tomllib.loads(deep.read_text())["robot"]["urdf"] == "../../my arm.urdf"
+    monkeypatch.chdir(tmp_path)
+    assert write("my arm.urdf").name == "my arm.toml" and write("slider").name == "slider.toml"
+
+
+def test_the_controller_leaves_friction_alone_where_it_outweighs_the_damping_of_the_gains():
+    kd = float(mfc.gains.pid(bandwidth=mfc.hertz(10.0))["kd"])
+    for share, rules in ((0.99, False), (1.01, True)):
+        body = mfc.robots.single_joint(inertia=0.5, damping=share * kd * 0.5)
+        assert friction_rules(body, np.zeros(1)) is rules
+        said = tomllib.loads(study_for(body, 'name = "single_joint"', "s.toml"))
+        assert said.get("controller_model") == ({"friction": "none"} if rules else None)
+
+
+@pytest.mark.parametrize(("robot", "unit"), [("ur5", "[rad]"), ("slider", "[m]"), ("rp", "[rad, m]")])
+def test_the_start_says_its_unit(robot, unit):
+    text = study_for(getattr(mfc.robots, robot)(), f'name = "{robot}"', "s.toml")
+    assert next(line for line in text.splitlines() if "stands at the start" in line).endswith(f"{unit}.")
+
+
+def test_names_that_would_break_out_of_a_comment_or_a_text_do_not():
+    text = study_for(mfc.robots.slider(), 'name = "slider"', 'a\nb".toml', ['f"1', "f\n2"])
+    said = tomllib.loads(text)
+    assert said["robot"]["locked"] == ['f"1', "f\n2"] and "mfc-analysis check a?b" in text
