@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument, NotConverged
 from mfc_analysis.maths.arrays import Complex
-from mfc_analysis.maths.expm import expm
 
 Array = NDArray[np.float64]
 PeriodMap = Callable[[Array], tuple[Array, Array]]
@@ -116,19 +115,26 @@ def gauss_nodes(edges: Array) -> Array:
 def transition_magnus(A_nodes: Array, h: float | Array) -> Array:
     """(N, n, n) transition matrices of N steps, Phi_k+1 = E_k Phi_k, fourth order in h.
 
-    A_nodes: (N, 2, n, n), A at ``gauss_nodes``; h: step length(s) [s], scalar or (N,).
+    A_nodes: (N, 2, n, n), A at ``gauss_nodes``; h: step length(s) [s], scalar or (N,). Raises ``BadArgument`` where A h is not finite.
     """
+    from scipy.linalg import expm
+
     h = np.broadcast_to(np.asarray(h, float), A_nodes.shape[:1])[:, None, None]
     A1, A2 = A_nodes[:, 0], A_nodes[:, 1]
-    return expm(h / 2 * (A1 + A2) + math.sqrt(3) / 12 * h**2 * (A2 @ A1 - A1 @ A2))
+    with np.errstate(over="ignore", invalid="ignore"):
+        Omega = h / 2 * (A1 + A2) + math.sqrt(3) / 12 * h**2 * (A2 @ A1 - A1 @ A2)
+        if not np.isfinite(Omega).all():
+            raise BadArgument("A_nodes", "A h that is not finite", "finite matrices, and steps short enough for them")
+        return np.asarray(expm(Omega))
 
 
 def accumulated(steps: Array) -> Array:
     """(N + 1, n, n): Phi(t_k, 0) from the N transition matrices of the steps, the first is I."""
     out = np.empty((steps.shape[0] + 1, *steps.shape[1:]))
     out[0] = np.eye(steps.shape[-1])
-    for k, E in enumerate(steps):
-        np.matmul(E, out[k], out=out[k + 1])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k, E in enumerate(steps):
+            np.matmul(E, out[k], out=out[k + 1])
     return out
 
 
@@ -210,6 +216,8 @@ def transient_growth(Phi: Array, times: Array) -> TransientGrowth:
     """Largest singular value of Phi(t, 0) over the times of a finite path. Phi: (N, n, n), times: (N,) [s]."""
     if Phi.ndim != 3 or Phi.shape[0] != np.size(times) or Phi.shape[0] == 0:
         raise BadArgument("Phi", f"shape {Phi.shape}", f"transition matrices (N, n, n) at N = {np.size(times)} times, at least one")
+    if not np.isfinite(Phi).all():
+        raise BadArgument("Phi", "entries that are not finite", "a path short enough that nothing grows beyond all numbers")
     singular = np.linalg.norm(Phi, 2, axis=(-2, -1))
     k = int(np.argmax(singular))
     direction = np.linalg.svd(Phi[k])[2][0]

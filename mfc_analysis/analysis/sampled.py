@@ -19,14 +19,15 @@ Source: Astrom & Wittenmark, Computer-Controlled Systems, chapter 3 (sampling of
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.system import OpenSystem
-from mfc_analysis.errors import Unsupported
+from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths import checks
-from mfc_analysis.maths.expm import expm_integral
+from mfc_analysis.maths.zero_order_hold import zero_order_hold
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -61,8 +62,9 @@ def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
     points stay those of the continuous loop except "position": its rate wire has no exact sampled counterpart of "s times the position",
     so that the encoder is not opened in a sampled loop.
 
-    Raises ``BadArgument`` for a sample time that is not positive, ``Unsupported`` where the controller reaches the plant past its torque
-    (velocity) wires, where another wire than these or "force" has dead time, or where the loop is sampled already.
+    Raises ``BadArgument`` for a sample time that is not positive or so long that the plant overflows in it, ``Unsupported`` where the
+    controller reaches the plant past its torque (velocity) wires, where another wire than these or "force" has dead time, or where the loop
+    is sampled already.
     """
     h = checks.number("sample_time", sample_time, low=0.0, strict=True)
     layout = _layout(system, h)
@@ -83,6 +85,8 @@ def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
         Z[:, start] = _seen(system, layout, int(wire), h) if layout.part[wire] > 0 else rows[:, ny + wire]
         rows[:, ny + wire] = 0.0
         rows[:, ny + wire, start + depth - 1] = 1.0
+    if not (np.isfinite(Z).all() and np.isfinite(rows).all()):
+        raise BadArgument("sample_time", h, "a sample short enough that nothing grows beyond all numbers within it")
     n = nx + layout.registers
     return replace(
         system,
@@ -134,20 +138,17 @@ def _advanced(system: OpenSystem, layout: _Layout, h: float, time: float) -> Arr
     """The plant ``time`` into the sample (0 < time <= h), (m, np, size of Z): held torques switch where their dead time says."""
     p, nu = layout.plant, system.nu
     A = system.A[:, p[:, None], p]
+    B = system.B[:, p[:, None], np.concatenate([np.arange(nu), nu + layout.drive])]
+    switches = layout.part[layout.drive] * h
+    edges = np.unique(np.concatenate([[0.0], switches[switches < time], [time]]))
     out = np.zeros((len(A), p.size, layout.size))
-    Phi, Gamma = expm_integral(A, system.B[:, p, :nu], time)
-    out[:, :, p], out[:, :, layout.external] = Phi, Gamma
-    for part in np.unique(layout.part[layout.drive]):
-        some = layout.drive[layout.part[layout.drive] == part]
-        B = system.B[:, p[:, None], nu + some]
-        old_for = min(part * h, time)  # the older value acts first, the newer for the rest
-        Phi, new = expm_integral(A, B, time - old_for)
-        old = Phi @ expm_integral(A, B, old_for)[1]
-        for column, wire in enumerate(some):
-            whole = int(layout.whole[wire])
-            out[:, :, layout.past(wire, whole)] += new[:, :, column]
-            if part > 0:
-                out[:, :, layout.past(wire, whole + 1)] += old[:, :, column]
+    out[:, np.arange(p.size), p] = 1.0
+    for start, end in pairwise(edges.tolist()):
+        Phi, Gamma = zero_order_hold(A, B, end - start)
+        out = Phi @ out
+        out[:, :, layout.external] += Gamma[:, :, :nu]
+        for column, (wire, switch) in enumerate(zip(layout.drive, switches, strict=True), start=nu):
+            out[:, :, layout.past(wire, int(layout.whole[wire]) + int(end <= switch))] += Gamma[:, :, column]
     return out
 
 
@@ -158,9 +159,13 @@ def _controlled(system: OpenSystem, layout: _Layout, h: float) -> Array:
     held[:, :, p] = system.A[:, c[:, None], p]
     held[:, :, layout.external] = system.B[:, c, :nu]
     _add_wires(held, system.B[:, c, nu:], layout, at_end=False)
-    Phi, Gamma = expm_integral(system.A[:, c[:, None], c], held, h)
-    Gamma[:, :, c] += Phi
-    return Gamma
+    A = system.A[:, c[:, None], c]
+    if (A[:1] == A).all():  # the equations of most laws' states are the same at all points: one exponential for all
+        A = A[:1]
+    Phi, integral = zero_order_hold(A, np.broadcast_to(np.eye(c.size), A.shape), h)
+    out = integral @ held
+    out[:, :, c] += Phi
+    return out
 
 
 def _seen(system: OpenSystem, layout: _Layout, wire: int, h: float) -> Array:

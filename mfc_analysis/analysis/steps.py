@@ -23,8 +23,8 @@ from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.analysis.zero_roots import without_zero_roots
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.maths.checks import number
-from mfc_analysis.maths.expm import expm_integral
 from mfc_analysis.maths.roots import root_between
+from mfc_analysis.maths.zero_order_hold import zero_order_hold
 
 Array = NDArray[np.float64]
 
@@ -144,15 +144,16 @@ def _runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], R
 
     def run(duration: float, samples: int) -> Run:
         h = duration / samples
-        move, push = expm_integral(A, b, h)
+        move, push = zero_order_hold(A, b, h)
         x = _doubled(move, push[:, 0], samples)
 
         def between(k: int, ahead: float) -> tuple[float, float]:
-            part, more = expm_integral(A, b, ahead)
+            part, more = zero_order_hold(A, b, ahead)
             here = part @ x[:, k] + more[:, 0]
             return float(c @ here + d), float(c @ (A @ here + b[:, 0]))
 
-        return Run(np.asarray(h * np.arange(samples + 1), float), c @ x + d, c @ (A @ x + b), between)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return Run(np.asarray(h * np.arange(samples + 1), float), c @ x + d, c @ (A @ x + b), between)
 
     return run
 

@@ -12,7 +12,7 @@ from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, timed
 from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.arrays import Ints
 from mfc_analysis.maths.dual import Dual, Vector, value
-from mfc_analysis.maths.expm import expm_integral
+from mfc_analysis.maths.zero_order_hold import zero_order_hold
 from mfc_analysis.simulation.run import Run
 
 Array = NDArray[np.float64]
@@ -118,4 +118,4 @@ def own_states_step(e: Equations, t: float, x0: Array, T: float) -> Array:
     for name, rate in rates.items():
         if isinstance(rate, Dual):
             A[e.parts[name].where] = rate.tangent
-    return np.asarray(expm_integral(A[own][None], np.eye(k)[None], T)[1][0])
+    return np.asarray(zero_order_hold(A[own][None], np.eye(k)[None], T)[1][0])

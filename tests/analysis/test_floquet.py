@@ -1,5 +1,7 @@
 """Magnus steps, multipliers and the periodic orbit against closed forms and known transition curves."""
 
+import warnings
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -154,3 +156,16 @@ def test_transient_growth_of_a_shear_is_its_singular_value() -> None:
     assert "grows at most" in str(found)
     with pytest.raises(BadArgument, match="Phi"):
         transient_growth(Phi, t[:-1])
+
+
+def test_growth_beyond_all_numbers_is_refused_without_a_warning() -> None:
+    A = np.broadcast_to([[1.0, 2.0], [0.5, 3.0]], (5, 2, 2, 2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for h in (100.0, 1e4, 1e100):  # the product of the steps overflows, or a step alone
+            with pytest.raises(BadArgument, match="not finite"):
+                transient_growth(accumulated(transition_magnus(A, h)), h * np.arange(6))
+        with pytest.raises(BadArgument, match="A_nodes"):
+            transition_magnus(A * np.nan, 1.0)
+        with pytest.raises(BadArgument, match="A_nodes"):
+            transition_magnus(A * 1e200, 1e200)

@@ -195,10 +195,46 @@ def test_many_points_are_sampled_at_once() -> None:
             assert_allclose(getattr(found, name)[k], getattr(sampled(single, 0.02), name)[0], atol=1e-15)
 
 
+def test_controllers_that_differ_from_point_to_point_keep_their_own_states() -> None:
+    one, two = (loop(*THIRD, 1.0, Ac=[[rate]], Bc=[1.0], Cc=[0.1]) for rate in (-1.0, -30.0))
+    both = replace(one, times=np.arange(2.0), **{k: np.concatenate([getattr(one, k), getattr(two, k)]) for k in "ABCD"})
+    assert_allclose(sampled(both, 0.02).A, np.concatenate([sampled(one, 0.02).A, sampled(two, 0.02).A]), atol=1e-15)
+
+
+def test_two_joints_with_their_own_dead_times_are_as_each_alone() -> None:
+    late = (0.013, 0.031)  # of the torque: the held values switch at different places of the sample
+    alone = [loop(*THIRD, 1.0, delays=(T, 0.01)) for T in late]
+    n = alone[0].nx
+
+    def side_by_side(M):
+        out = np.zeros((1, 2 * M.shape[1], 2 * M.shape[2]))
+        out[:, ::2, ::2] = out[:, 1::2, 1::2] = M
+        return out
+
+    both = replace(
+        alone[0],
+        **{k: side_by_side(getattr(alone[0], k)) for k in "ABCD"},
+        state_names=tuple(f"x{i}" for i in range(2 * n)),
+        input_names=("d1", "d2"),
+        output_names=("y1", "y2"),
+        wires={"torque": slice(0, 2), "force": slice(2, 4)},
+        wire_names=("1", "2", "1", "2"),
+        wire_delay=np.array([*late, 0.01, 0.01]),
+        plant_states=tuple(range(2 * n)),
+    )
+    poles = np.linalg.eigvals(close_wires(sampled(both, 0.02))[0][0])
+    for single in alone:
+        for p in np.linalg.eigvals(close_wires(sampled(single, 0.02))[0][0]):
+            assert np.abs(poles - p).min() < 1e-9
+
+
 def test_what_cannot_be_sampled_is_refused() -> None:
     system = loop(*THIRD, 1.0, Ac=[[0.0]], Bc=[1.0], Cc=[0.1])
     with pytest.raises(BadArgument, match="sample_time"):
         sampled(system, 0.0)
+    for long in (1e5, 1e100):  # a falling rod: exp(1e5) is beyond all numbers
+        with pytest.raises(BadArgument, match="sample_time"):
+            sampled(loop([[0, 1], [1, 0]], [0, 1], [1, 0], 1.0), long)
     with pytest.raises(Unsupported, match="sampled already"):
         sampled(sampled(system, 0.05), 0.05)
     with pytest.raises(Unsupported, match="torque or velocity"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import control
@@ -73,6 +74,20 @@ def test_an_unstable_loop_has_no_metrics_but_samples():
     assert found.outcome is Outcome.GROWS
     assert all(np.isnan(x) for x in (found.steady_state, found.rise, found.settling, found.overshoot))
     assert np.isfinite(found.y).all() and "unstable" in str(found)
+
+
+@pytest.mark.parametrize("duration", [1e4, 1e10, 1e100])
+def test_samples_of_an_unstable_loop_beyond_all_numbers_warn_nobody(duration):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = step(open_system(10 / (s**3 + 3 * s**2 + 2 * s)), 0, "d", "y", duration=duration)
+    assert found.outcome is Outcome.GROWS and found.y[0] == 0 and not np.isfinite(found.y[-1])
+
+
+@pytest.mark.parametrize("duration", [1e4, 1e14, 1e30])
+def test_samples_of_a_settled_loop_stay_at_its_final_value_however_long(duration):
+    found = step(open_system(4 / s), 0, "d", "y", duration=duration)
+    assert_allclose(found.y[1:], 1.0, rtol=1e-3)
 
 
 def test_an_integrator_behind_the_loop_ramps():

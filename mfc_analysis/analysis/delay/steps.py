@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from mfc_analysis.analysis.step_run import Run
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.maths.expm import expm
 
 Array = NDArray[np.float64]
 
@@ -52,6 +51,8 @@ def _one_step(A: Array, B: Array, C: Array, D: Array, h: float) -> Array:
 
     B, D: columns of the delayed wires and of u last; C, D: rows of what leaves towards the wires, and y last.
     """
+    from scipy.linalg import expm
+
     nx, k = B.shape
     chain = np.zeros((nx + 4 * k, nx + 4 * k))  # x and the derivatives of the cubic inputs
     chain[:nx, :nx], chain[:nx, nx : nx + k] = A, B
