@@ -1,4 +1,4 @@
-"""What holds for every kind of figure: no text leaves its sheet, same bytes twice, colours, a second process that agrees with the first."""
+"""What holds for every kind of figure: no text leaves its sheet, same bytes twice, colours."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from matplotlib.text import Text
 from mfc_analysis import plots
 from mfc_analysis.errors import UnknownName
 from mfc_analysis.plots import figure as sheet
-from mfc_analysis.plots.batch import drawn
 from tests.plots import kinds
 
 KINDS = kinds.every_kind()
@@ -80,19 +79,8 @@ def test_an_unknown_kind_of_sheet_lists_those_there_are():
     assert "bode" in caught.value.known
 
 
-def test_two_processes_draw_what_one_draws_and_in_order():
-    recipes = [KINDS["poles"], KINDS["disk"], lambda: plots.poles(np.array([-1.0]))] * 8
-    assert drawn(recipes) == sheet.svgs(recipes)
-
-
-def test_progress_counts_every_figure_once():
-    counts = []
-    drawn([KINDS["disk"]] * 24, progress=counts.append)
-    assert sum(counts) == 24
-
-
-def test_the_second_process_imports_neither_control_nor_pinocchio():
-    code = """import sys, mfc_analysis.plots.worker, mfc_analysis.plots as p; p.svg(p.axes_for('map'))
+def test_drawing_imports_neither_control_nor_pinocchio():
+    code = """import sys, mfc_analysis.plots as p; p.svg(p.axes_for('map'))
 print([m for m in ('control', 'pinocchio', 'scipy', 'matplotlib.pyplot') if m in sys.modules])"""
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
