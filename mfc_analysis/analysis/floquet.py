@@ -18,12 +18,10 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument, NotConverged
-from mfc_analysis.maths.arrays import Complex
+from mfc_analysis.maths.arrays import Array, Complex
 
-Array = NDArray[np.float64]
 PeriodMap = Callable[[Array], tuple[Array, Array]]
 
 _NODES = np.array([0.5 - math.sqrt(3) / 6, 0.5 + math.sqrt(3) / 6])
@@ -47,8 +45,8 @@ class Floquet:
     """Multipliers of a periodic loop, with what they mean."""
 
     period: float  #: [s]
-    multipliers: NDArray[np.complex128]  #: (nx,) eigenvalues of Phi(T, 0), the largest modulus first
-    exponents: NDArray[np.complex128]  #: (nx,) [1/s, rad/s] log(multipliers) / T, imaginary parts within pi/T
+    multipliers: Complex  #: (nx,) eigenvalues of Phi(T, 0), the largest modulus first
+    exponents: Complex  #: (nx,) [1/s, rad/s] log(multipliers) / T, imaginary parts within pi/T
     growth: float  #: factor by which the slowest disturbance changes in a period: the largest modulus (of those not neutral)
     verdict: FloquetVerdict
     neutral: int  #: multipliers at 1 that neither grow nor decay

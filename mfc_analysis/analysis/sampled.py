@@ -22,15 +22,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 WHOLE = 1e-9  #: a dead time this close to whole samples is whole
 

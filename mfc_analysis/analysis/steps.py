@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.delay.roots import delay_roots
 from mfc_analysis.analysis.delay.steps import delayed_runner
@@ -22,11 +21,10 @@ from mfc_analysis.analysis.step_run import Run
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.analysis.zero_roots import without_zero_roots
 from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.checks import number
 from mfc_analysis.maths.roots import root_between
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
-
-Array = NDArray[np.float64]
 
 BAND = 0.02  #: of the settling time
 SAMPLES = 1000  #: at least, of one response

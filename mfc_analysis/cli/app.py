@@ -27,9 +27,11 @@ StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="A study file (
 
 
 def main() -> None:
-    """Runs the command line."""
+    """Runs the command line. Asked to end (SIGTERM) it leaves as after Ctrl-C, and takes its processes with it."""
+    import signal
     import sys
 
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a console that has no such character shows another one, and no traceback

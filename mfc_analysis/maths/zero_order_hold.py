@@ -25,5 +25,5 @@ def zero_order_hold(A: Array, B: Array, h: float) -> tuple[Array, Array]:
         block[..., :n, :n], block[..., :n, n:] = A * h, B * h
         if not np.isfinite(block).all():
             raise BadArgument("h", h, "a step over which A h and B h are finite")
-        E = expm(block)
+        E = np.asarray(expm(block), float)
     return E[..., :n, :n], E[..., :n, n:]

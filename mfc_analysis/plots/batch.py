@@ -37,4 +37,6 @@ def drawn(recipes: Sequence[Any], *, progress: Callable[[int], None] | None = No
 def _in_two_processes(shares: Sequence[Sequence[Any]]) -> Iterable[list[str]]:
     from joblib import Parallel, cpu_count, delayed
 
-    return Parallel(n_jobs=min(2, cpu_count()), return_as="generator")(delayed(sheet.svgs)(some) for some in shares)  # type: ignore[no-any-return]
+    found: Any = Parallel(n_jobs=min(2, cpu_count()), return_as="generator")(delayed(sheet.svgs)(some) for some in shares)
+    texts: Iterable[list[str]] = found
+    return texts

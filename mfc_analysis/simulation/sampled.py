@@ -6,16 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, timed
 from mfc_analysis.errors import MfcError
-from mfc_analysis.maths.arrays import Ints
+from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.dual import Dual, Vector, value
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 from mfc_analysis.simulation.run import Run
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

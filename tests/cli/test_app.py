@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
 
@@ -224,3 +226,22 @@ def test_help_loads_nothing_heavy():
 
 def test_the_version_is_said():
     assert run("--version").stdout.strip() == f"mfc-analysis {__version__}"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGTERM ends a Windows process at once")
+def test_a_command_that_is_asked_to_end_takes_its_processes_with_it():
+    code = """import os, signal, time; import mfc_analysis.cli.app as cli; from joblib import Parallel, delayed
+def work():
+    for number in Parallel(n_jobs=2, return_as="generator")(delayed(os.getpid)() for _ in range(4)):
+        print(number, flush=True)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(60)
+cli.app = work
+cli.main()"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=50)
+    assert done.returncode == 128 + signal.SIGTERM and done.stderr == ""
+    numbers = {int(line) for line in done.stdout.split()}
+    assert numbers
+    for number in numbers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(number, 0)

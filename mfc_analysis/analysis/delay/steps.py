@@ -11,13 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.step_run import Run
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument
-
-Array = NDArray[np.float64]
+from mfc_analysis.maths.arrays import Array
 
 FINEST = 60  #: steps in the shortest dead time
 MOST_STEPS = 1_000_000

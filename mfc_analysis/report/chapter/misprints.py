@@ -252,7 +252,7 @@ def _triple_law(w: float, form: Literal["standard", "printed"] = "standard") -> 
     return laws.ComputedTorque(kp=kp, ki=ki, kd=kd, form=form)
 
 
-def _rightmost(arm: Arm, w: float, form: str) -> float:
+def _rightmost(arm: Arm, w: float, form: Literal["standard", "printed"]) -> float:
     return float(ClosedLoop(arm.robot, _triple_law(w, form), arm.ref).linearize([0.0]).poles().real.max())
 
 
