@@ -1,7 +1,7 @@
-"""How slow may the bus be? At which sample rate does the loop die, and what does each rate leave?
+"""How slow may the bus be? The lowest stable sample rate, and the margins at several rates.
 
-The controller runs once a sample and its torque is held in between. The sampled model is exact; the rule of thumb (half a sample of dead time) is
-not. Confirmed by nonlinear simulation on both sides of the limit.
+The controller runs once a sample, and its torque is held between samples. The sampled model is exact; the rule of thumb (half a sample of dead time)
+is not. A nonlinear simulation on both sides of the limit confirms the result.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ ideal = mfc.ClosedLoop(arm, law, mfc.trajectories.Hold(q0), hardware=mfc.Hardwar
 limit = mfc.design.min_sample_rate(ideal)
 rule = 1 / (2 * ideal.linearize().margins().worst().delay[0])
 print(limit)
-print(f"half a sample as dead time would have said {rule:.1f} Hz\n")
+print(f"rule of thumb (half a sample of dead time): {rule:.1f} Hz\n")
 
 for rate in (1000.0, 500.0, 250.0, 125.0, 62.5):
     worst = sampled(1 / rate).linearize().margins().worst()
@@ -32,4 +32,4 @@ print()
 for part in (1.05, 0.95):
     run = sampled(1 / (part * float(limit))).simulate(4.0, initial_error=1e-3, integral="trimmed")
     late = np.abs(run.error[run.t > 0.75 * run.end]).max()
-    print(f"{part * float(limit):6.1f} Hz: an error of 1 mrad is {1e3 * late:.3g} mrad in the last quarter of {run.end:.1f} s")
+    print(f"{part * float(limit):6.1f} Hz: an initial error of 1 mrad becomes {1e3 * late:.3g} mrad in the last quarter of {run.end:.1f} s")

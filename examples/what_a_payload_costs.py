@@ -1,7 +1,7 @@
-"""What does a payload cost that the controller doesn't know?
+"""How does a payload that the controller does not know reduce the margins?
 
-A UR5 under computed torque moves along a path with 0 to 6 kg at its tool. The margins fall, joint by joint and place by place; at rest without
-an integral the arm sags; and somewhere it ends.
+A UR5 under computed torque moves along a path with 0 to 6 kg at its tool. The script prints the smallest margins along the path, the sag at rest
+without an integral, and the largest stable payload.
 """
 
 import numpy as np

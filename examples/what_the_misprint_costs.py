@@ -1,7 +1,7 @@
-"""What happens if the page is implemented as printed?
+"""What happens if a misprinted equation is implemented as printed?
 
-Four laws whose printed equation is not what its sources derive, each in both forms on the same robot: the rightmost pole, and the tracking error in
-simulation with the integral starting at 0.
+Four laws have a misprint in their equation. The script runs both forms of each law on the same robot, and prints the rightmost pole and the tracking
+error in a simulation that starts with the integral at 0.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
-"""Which gains give this arm 8 Hz, and what do they achieve on the real thing?
+"""Which gains give this arm a bandwidth of 8 Hz, and which margins do they achieve?
 
-Gains from a bandwidth, first for one unit of inertia (computed torque takes care of the rest), then for each joint of an arm as if it were
-alone (independent joints). Then the same gains on the coupled arm, with drives that lag by 2 ms.
+The script computes gains from a bandwidth, first for a unit inertia (computed torque compensates the dynamics of the arm), then for each joint of the
+arm separately (independent joints). It then uses both on the coupled arm, with a lag of 2 ms in the drives.
 """
 
 import numpy as np
