@@ -1,9 +1,9 @@
-"""One run, one table of ratios: each of our times beside a rival or a floor measured in the same run.
+"""Measure run times as ratios to a lower bound or an alternative, both measured in the same run.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/run.py [--out benchmarks/results.md]
 
-One BLAS thread is set for all contenders alike. The clock of a shared machine drifts: contenders take turns, and the ratio is the
-median of the ratios pair by pair. Imports only the package's face.
+Both programs of a pair use one BLAS thread. Run times vary on a shared machine, so the programs take turns, and the ratio is the median
+of the ratios of all pairs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ROWS: list[tuple[str, str, float, float, float, str]] = []
 
 
 def paired(ours: Callable[[], object], rival: Callable[[], object], rounds: int = 7) -> tuple[float, float, float]:
-    """Median seconds of both, and the median of ours / rival pair by pair."""
+    """Median times of both [s], and the median of the ratios ours / rival of all pairs."""
     ours(), rival()
     a, b = [], []
     for _ in range(rounds):
@@ -43,7 +43,7 @@ def paired(ours: Callable[[], object], rival: Callable[[], object], rounds: int 
 
 
 def row(what: str, rival: str, found: tuple[float, float, float], per: int, goal: str, rival_per: int | None = None) -> None:
-    """One line of the table, times per point in microseconds; the ratio per point."""
+    """Adds a line to the table: times per point [us] and their ratio."""
     ours, other, ratio = found
     scale = 1.0 if rival_per is None else rival_per / per
     ROWS.append((what, rival, 1e6 * ours / per, 1e6 * other / (rival_per or per), ratio * scale, goal))
@@ -54,14 +54,14 @@ def row(what: str, rival: str, found: tuple[float, float, float], per: int, goal
 
 
 def wrong_model_loop() -> mfc.ClosedLoop:
-    """UR5, 9.10, a payload of 2 kg that the controller doesn't know: 18 states."""
+    """UR5 under 9.10 with an unknown payload of 2 kg: 18 states."""
     robot = mfc.robots.ur5()
     path = mfc.trajectories.Sinusoid(Q0, 0.3, 1.5)
     return mfc.ClosedLoop(robot.with_payload(2.0), mfc.laws.ComputedTorque(100, 80, 20), path, controller_model=robot)
 
 
 def bare(loop: mfc.ClosedLoop, times: np.ndarray) -> Callable[[], np.ndarray]:
-    """The floor: Pinocchio's derivative calls in a bare loop at the same operating points, and batched matmul. A of the closed loop."""
+    """The lower bound for the closed-loop A: Pinocchio's derivative calls in a bare loop at the same operating points, and a batched matmul."""
     plant, model = loop.robot.model, loop.controller_model.model
     pdata, mdata = plant.createData(), model.createData()
     x = loop.linearize(times).point.x
@@ -102,7 +102,7 @@ def python_control_linearize(loop: mfc.ClosedLoop, times: np.ndarray) -> Callabl
 
 
 def hand_written(loop: mfc.ClosedLoop) -> Callable[[], object]:
-    """A hand-written right-hand side, same solver, same tolerances, same Jacobian-free start, 5 s."""
+    """A simulation of 5 s with a hand-written right-hand side, with the same solver and tolerances."""
     plant, model = loop.robot.model, loop.controller_model.model
     pdata, mdata = plant.createData(), model.createData()
     q_d, amplitude, w = Q0, 0.3, 1.5
@@ -119,7 +119,7 @@ def hand_written(loop: mfc.ClosedLoop) -> Callable[[], object]:
 
 
 def bare_task(loop: mfc.ClosedLoop, times: np.ndarray, mass_calls: int) -> Callable[[], object]:
-    """The Pinocchio calls that a tool-space law cannot do without, values copied out: kinematics, plant, controller, J' v."""
+    """The Pinocchio calls that every tool-space law needs, with their values copied: kinematics, plant, controller, J' v."""
     plant, model = loop.robot.model, loop.equations.model.model
     pdata, mdata = plant.createData(), model.createData()
     frame = loop.robot.frame_id
@@ -147,7 +147,7 @@ def bare_task(loop: mfc.ClosedLoop, times: np.ndarray, mass_calls: int) -> Calla
 
 
 def linearising() -> None:
-    """Joint laws."""
+    """Linearisation with joint laws."""
     loop = wrong_model_loop()
     times = np.linspace(0.0, 4.0, 1000)
     floor = bare(loop, times)
@@ -186,7 +186,7 @@ def linearising() -> None:
 
 
 def margins() -> None:
-    """Six loops at 200 points."""
+    """Margins of six loops at 200 points."""
     loop = wrong_model_loop()
     times = np.linspace(0.0, 4.0, 200)
     lin = loop.linearize(times)
@@ -216,7 +216,7 @@ def steps() -> None:
     found = lin.step(0, input=0, output=0)
     grid = np.linspace(0.0, found.t[-1], len(found.t))
     row(
-        "step response with its figures",
+        "step response with its metrics",
         "control.step_response",
         paired(lambda: lin.step(0, input=0, output=0), lambda: control.step_response(one, grid)),
         1,
@@ -225,10 +225,10 @@ def steps() -> None:
 
 
 def simulation() -> None:
-    """5 s of UR5."""
+    """Simulation of a UR5 for 5 s."""
     loop = wrong_model_loop()
     row(
-        "5 s of simulation (sim with all its signals)",
+        "simulation of 5 s, with all signals",
         "hand-written right-hand side, LSODA",
         paired(lambda: loop.simulate(5.0, initial_error=0.1), hand_written(loop)),
         1,
@@ -237,7 +237,7 @@ def simulation() -> None:
 
 
 def task_space() -> None:
-    """Task and hybrid laws against their own bare Pinocchio calls."""
+    """Linearisation with tool-space and hybrid laws."""
     robot = mfc.robots.ur5()
     X0 = robot.pose(Q0)
     path = mfc.trajectories.ToolSinusoid(X0, [0.05, 0.0, 0.05], 1.5)
@@ -268,7 +268,7 @@ def task_space() -> None:
 
 
 def robustness() -> None:
-    """Disk margins and Floquet."""
+    """Disk margins and Floquet multipliers."""
     from scipy.linalg import expm
 
     from mfc_analysis.dynamics.jacobians import closed_matrix
@@ -303,14 +303,14 @@ def robustness() -> None:
     row(
         "one Floquet iteration (period map, 80 steps)",
         "its A(t) batch + 80 expm",
-        paired(lambda: transitions_along(loop, run, np.linspace(0, T, 81)), floor),
+        paired(lambda: transitions_along(loop.equations, run, np.linspace(0, T, 81)), floor),
         1,
         "<= 3",
     )
 
 
 def mimo(lin: mfc.Linearization) -> control.StateSpace:
-    """The six torque loops opened together, negative feedback."""
+    """The loop transfer matrix of the six torque loops, opened together, for negative feedback."""
     from mfc_analysis.analysis.system import close_wires
 
     s = lin.opened
@@ -321,14 +321,14 @@ def mimo(lin: mfc.Linearization) -> control.StateSpace:
 
 
 def table() -> str:
-    """The table in Markdown."""
-    lines = ["| ours | us per point | against | us per point | ratio | to reach |", "|---|---:|---|---:|---:|---|"]
+    """The table as Markdown."""
+    lines = ["| task | us per point | reference | us per point | ratio | target |", "|---|---:|---|---:|---:|---|"]
     lines += [f"| {a} | {x:.1f} | {b} | {y:.1f} | {r:.3g} | {goal} |" for a, b, x, y, r, goal in ROWS]
     return "\n".join(lines) + "\n"
 
 
 def main() -> None:
-    """Run all and print the table."""
+    """Runs all benchmarks, prints the ratios and writes the table to ``--out``."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--only", nargs="*", default=[])
