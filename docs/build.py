@@ -1,19 +1,19 @@
-"""Runs every code block of README.md and of docs/*.md, then builds the site into build/site with warnings as errors.
+"""Run every code block of README.md and docs/*.md, then build the site in build/site with warnings as errors.
 
     python docs/build.py                 everything
-    python docs/build.py docs/start.md   the blocks of these pages, no site
+    python docs/build.py docs/start.md   only the blocks of these pages
 
-What a block is:
+Types of blocks:
 
-- ``python``: executed; the blocks of a page share one namespace, and a page has a process and a working folder of its own. Warnings of
-  the package are errors. A first line ``# file: NAME`` writes the block into the working folder instead.
-- ``toml``: with a first line ``# file: NAME`` written into the working folder.
-- ``console``: lines after ``$``. ``mfc-analysis`` and ``pytest`` are run; ``exit code N`` in a comment says what they return (0 if not said).
-- ``text`` right after a python block, or the lines after a command: what was printed. Words must agree, numbers to one unit of the last
-  digit shown or to a millionth; a line ``...`` stands for any lines.
+- ``python``: executed. The blocks of a page share one namespace, and each page has its own process and working folder. Warnings of the
+  package are errors. With a first line ``# file: NAME`` the block is written to the working folder and not executed.
+- ``toml``: written to the working folder if its first line is ``# file: NAME``.
+- ``console``: commands after ``$``. ``mfc-analysis`` and ``pytest`` are run. A comment ``exit code N`` gives the expected exit code (default 0).
+- ``text`` directly after a python block, or the lines after a command: the expected output. Words must be equal, and numbers must agree to
+  one unit of the last digit shown or to 1e-6; a line ``...`` matches any lines.
 
-``arm.urdf`` (a UR5) and ``study.toml`` (what ``mfc-analysis init`` makes of it) are in every working folder. mkdocs loads this file as a
-hook: it fills in benchmarks/results.md where a page says ``<!-- include: FILE -->``.
+Every working folder has ``arm.urdf`` (a UR5) and ``study.toml`` (written by ``mfc-analysis init`` for it). mkdocs also loads this file as a
+hook, which replaces ``<!-- include: FILE -->`` by the text of the file.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SITE = ROOT / "build" / "site"
-LONGEST = 300  #: [s] that a page's blocks may take
+LONGEST = 300  #: [s] time limit for the blocks of a page
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-NOT_RUN = ("python3", "pip", "git", "mfc-analysis report")  #: installing is not a page's business; the chapter's report has tests of its own
+NOT_RUN = ("python3", "pip", "git", "mfc-analysis report")  #: installation is not part of a page, and the chapter's report has its own tests
 
 
 @dataclass(frozen=True)
@@ -54,17 +54,17 @@ class Block:
     kind: str  #: python, console, text, toml...
     line: int  #: of its first line, from 1
     text: str
-    shown: str | None = None  #: what the page says it prints
+    shown: str | None = None  #: the output shown on the page
 
     @property
     def file(self) -> str | None:
-        """The name of the file that it is, where its first line says so."""
+        """The name of the file to write, if the first line gives one."""
         found = re.match(r"#\s*file:\s*(\S+)", self.text)
         return found[1] if found else None
 
 
 class Wrong(Exception):
-    """A block that does not do what its page says."""
+    """A block whose behaviour differs from its page."""
 
 
 def blocks(page: Path) -> list[Block]:
@@ -91,11 +91,11 @@ def blocks(page: Path) -> list[Block]:
     return out
 
 
-# --- what was printed against what is shown ------------------------------------------------------------------------------
+# --- comparison of the printed and the shown output ------------------------------------------------------------------------------
 
 
 def agree(shown: str, printed: str) -> bool:
-    """Whether the printed text is the one shown: the same words, the same numbers to one unit of the last digit shown."""
+    """True if the printed and the shown text agree: equal words, and numbers equal to one unit of the last digit shown."""
     want, got = ([line.rstrip() for line in text.strip("\n").splitlines()] for text in (shown, printed))
     return _lines_agree(want, got)
 
@@ -122,14 +122,14 @@ def _same(want: str, got: str) -> bool:
     return abs(float(want) - float(got)) <= max(1.01 * unit, 1e-6 * abs(float(want)))
 
 
-# --- running a page (in a process of its own) ----------------------------------------------------------------------------
+# --- running a page (in its own process) ----------------------------------------------------------------------------
 
 
 def run_page(page: Path) -> int:
-    """Runs the blocks of a page in the current folder; returns how many. Raises Wrong."""
+    """Runs the blocks of a page in the current folder; returns their number. Raises Wrong."""
     warnings.filterwarnings("error", module=r"mfc_analysis\b")
     module = ModuleType(page.stem)
-    sys.modules[page.stem] = module  # where dataclasses look up what they are made of
+    sys.modules[page.stem] = module  # dataclasses look up their module here
     names = vars(module)
     count = 0
     for block in blocks(page):
@@ -156,7 +156,7 @@ def _run_python(page: Path, block: Block, names: dict[str, Any]) -> None:
         with warnings.catch_warnings(), contextlib.redirect_stdout(printed):
             warnings.simplefilter("error", MfcWarning)
             exec(compile(text, name, "exec", dont_inherit=True), names)
-    except BaseException as why:  # whatever it is, the page is wrong
+    except BaseException as why:  # any exception means that the page is wrong
         raise Wrong(f"{name}:{block.line}: {''.join(traceback.format_exception(why)[-4:])}") from why
     if block.shown is not None and not agree(block.shown, printed.getvalue()):
         raise Wrong(f"{name}:{block.line}: the page shows\n{block.shown}but the block prints\n{printed.getvalue()}")
@@ -196,7 +196,7 @@ def _program(name: str) -> list[str]:
 
 
 def checked(page: Path) -> str | None:
-    """Runs a page in a process and a folder of its own; returns what is wrong, None if nothing is."""
+    """Runs a page in its own process and folder; returns an error message, or None if the page is correct."""
     with tempfile.TemporaryDirectory() as folder:
         for name in ("arm.urdf", "study.toml"):
             (Path(folder) / name).write_bytes((_prepared() / name).read_bytes())
@@ -206,7 +206,7 @@ def checked(page: Path) -> str | None:
                 cwd=folder, env=_environment(), capture_output=True, text=True, encoding="utf-8", timeout=LONGEST,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            return f"{page.name}: its blocks take longer than {LONGEST} s"
+            return f"{page.name}: its blocks take more than {LONGEST} s"
     return None if done.returncode == 0 else f"{done.stdout}{done.stderr}"
 
 
@@ -219,7 +219,7 @@ _made: list[tempfile.TemporaryDirectory[str]] = []
 
 
 def _prepared() -> Path:
-    """A folder with what every working folder starts with."""
+    """The folder with the initial files of every working folder."""
     if not _made:
         from mfc_analysis.robots.catalogue import ur5_urdf
         from mfc_analysis.study.init import write
@@ -241,17 +241,17 @@ def _environment() -> dict[str, str]:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """mkdocs hook: ``<!-- include: FILE -->`` becomes the file's text where it exists, a sentence where it doesn't."""
+    """mkdocs hook: replaces ``<!-- include: FILE -->`` by the text of the file, or by a note if the file does not exist."""
 
     def included(found: re.Match[str]) -> str:
         path = ROOT / found[1]
-        return path.read_text(encoding="utf-8") if path.exists() else f"*{found[1]} has not been written on this machine yet.*"
+        return path.read_text(encoding="utf-8") if path.exists() else f"*{found[1]} has not been written yet.*"
 
     return re.sub(r"<!-- include: (\S+) -->", included, markdown)
 
 
 def build_site() -> int:
-    """mkdocs with warnings as errors; shows them and returns its exit code."""
+    """Runs mkdocs with warnings as errors; prints its output on failure and returns its exit code."""
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean", "-f", str(ROOT / "mkdocs.yml"), "-d", str(SITE)]
     done = subprocess.run(command, cwd=ROOT, env=_environment(), capture_output=True, text=True, encoding="utf-8")
     if done.returncode:
@@ -262,7 +262,7 @@ def build_site() -> int:
 def main() -> int:
     """Checks the pages, then builds the site; returns the exit code."""
     takes = argparse.ArgumentParser(description="Runs the code blocks of the documentation and builds the site.")
-    takes.add_argument("pages", nargs="*", type=Path, help="pages to check (default: README.md and docs/*.md, and then the site)")
+    takes.add_argument("pages", nargs="*", type=Path, help="pages to check (default: README.md, docs/*.md and the site)")
     takes.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
     asked = takes.parse_args()
     if asked.here:

@@ -1,7 +1,6 @@
-"""For mkdocs: what the package's docstrings say, in the form that the API page understands.
+"""An mkdocs extension that converts the docstrings of the package for the API page.
 
-Equations in reStructuredText are shown as they are written instead of as stray directives, and the ``#:`` beside a field, which says its
-shape and unit, becomes that field's docstring.
+Equations in reStructuredText become code blocks. The ``#:`` comment of a field, with its shape and unit, becomes the docstring of the field.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import griffe
 
 
 def shown(text: str) -> str:
-    """``.. math:: X`` as a block of code, ``:math:`X``` and other roles as code, a lone ``::`` as nothing."""
+    """The text with ``.. math:: X`` as a code block, ``:math:`X``` and other roles as code, and without a ``::`` alone on a line."""
     text = re.sub(r"^\.\. math::[ ]*(.+(?:\n[ ]+\S.*)*)", _block, text, flags=re.MULTILINE)
     text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text)
     return re.sub(r"^::$", "", text, flags=re.MULTILINE)
@@ -24,7 +23,7 @@ def _block(found: re.Match[str]) -> str:
 
 
 def beside(lines: list[str], line: int) -> str | None:
-    """What the ``#:`` comment at the end of a line (from 1) says, or those alone on the lines before it."""
+    """The text of the ``#:`` comment at the end of a line (from 1), or of those on the lines directly before it."""
     at_end = re.search(r"#:\s*(.+)$", lines[line - 1])
     if at_end:
         return at_end[1].strip()
@@ -38,10 +37,10 @@ def beside(lines: list[str], line: int) -> str | None:
 
 
 class Docstrings(griffe.Extension):
-    """Rewrites every docstring before it is parsed, and finds those of fields."""
+    """Rewrites every docstring before it is parsed, and adds those of the fields."""
 
     def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
-        """griffe's event for each object it has loaded."""
+        """Called by griffe for each object that it has loaded."""
         if obj.docstring is None and obj.is_attribute and obj.lineno is not None:
             text = beside(obj.lines_collection[obj.filepath], obj.lineno)
             if text:
