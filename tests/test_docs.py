@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import pkgutil
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -10,6 +12,8 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "reports" / "README.md", *(ROOT / "docs").glob("*.md")])
+SOURCES = sorted(path for folder in ("mfc_analysis", "docs", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
 
 
 @pytest.fixture(scope="module")
@@ -84,3 +88,33 @@ def test_an_error_names_the_line_of_the_page(build: ModuleType, tmp_path: Path) 
 def test_results_that_are_not_there_yet_are_said_to_be_missing(build: ModuleType) -> None:
     assert "has not been written" in build.on_page_markdown("<!-- include: benchmarks/no_such_file.md -->")
     assert "The family" not in build.on_page_markdown("words") and "BSD" in build.on_page_markdown("<!-- include: README.md -->")
+
+
+def missing(text: str, *folders: Path) -> list[str]:
+    """The paths of a text that do not exist: files and folders of the project, ``name.py`` in code quotes, dotted names of the package."""
+    files = re.findall(r"(?<![\w/.-])(?:mfc_analysis|benchmarks|docs|examples|reports|tests)/[\w./]*\w", text)
+    lost = [name for name in files if not (ROOT / name).exists()]
+    lost += [name for name in re.findall(r"``([\w/]+\.py)``", text) if not any((folder / name).exists() for folder in folders)]
+    for name in set(re.findall(r"(?<![\w/.-])(?:mfc|mfc_analysis)(?:\.[A-Za-z_]\w*)+", text)):
+        try:
+            pkgutil.resolve_name(re.sub(r"^mfc\.", "mfc_analysis.", name))
+        except (ImportError, AttributeError):
+            lost.append(name)
+    return sorted(set(lost))
+
+
+@pytest.mark.parametrize(
+    "name", ["mfc_analysis/equations.py", "docs/no_such_page.md", "``no_such_file.py``", "mfc.laws.NoSuchLaw", "mfc_analysis.no_such_room.file"]
+)
+def test_a_path_that_does_not_exist_is_found(name: str) -> None:
+    assert missing(f"see `mfc_analysis/loop.py`, mfc.laws.JointPID and {name}.", ROOT) == [name.strip("`")]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_every_path_that_the_guide_names_exists(page: Path) -> None:
+    assert missing(page.read_text(encoding="utf-8")) == []
+
+
+def test_every_path_that_a_source_names_exists() -> None:
+    found = {path.name: missing(path.read_text(encoding="utf-8"), path.parent, ROOT / "mfc_analysis", ROOT) for path in SOURCES}
+    assert {name: lost for name, lost in found.items() if lost} == {}
