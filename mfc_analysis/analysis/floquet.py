@@ -123,7 +123,7 @@ def transition_magnus(A_nodes: Array, h: float | Array) -> Array:
         Omega = h / 2 * (A1 + A2) + math.sqrt(3) / 12 * h**2 * (A2 @ A1 - A1 @ A2)
         if not np.isfinite(Omega).all():
             raise BadArgument("A_nodes", "A h that is not finite", "finite matrices, and steps short enough for them")
-        return np.asarray(expm(Omega))
+        return np.asarray(expm(Omega), float)
 
 
 def accumulated(steps: Array) -> Array:
