@@ -1,4 +1,4 @@
-"""Blocks of a page about one loop: figures with their numbers in words, tables, key facts. Made from a ``View``; nothing is computed twice."""
+"""Blocks of a page about one loop: figures with captions, tables and key metrics. Made from a ``View``; nothing is computed twice."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ _LIMITS = ("phase_deg", "gain_increase_db", "gain_reduction_db", "delay", "sensi
 
 
 def sensitivity(view: View) -> KeyFacts:
-    """What the loop is sensitive to: gain, phase, delay, peak, each at its own worst place."""
+    """Gain, phase and delay margins and the sensitivity peak, each with the channel and the time of its worst value."""
     w = view.margins.worst()
     m = len(view.times)
 
-    def fact(name: str, found: tuple[float, float, str], unit: str, scale: float = 1.0, infinite: str = "no limit") -> Fact:
+    def fact(name: str, found: tuple[float, float, str], unit: str, scale: float = 1.0, infinite: str = "unlimited") -> Fact:
         value = Number(found[0] * scale, unit, infinite=infinite, undefined="unstable")
         return Fact(name, value, "" if not np.isfinite(found[0]) else place_words(found[2], found[1], m))
 
@@ -54,29 +54,29 @@ def sensitivity(view: View) -> KeyFacts:
         up = (float(20 * np.log10(w.gain_increase[0])), *w.gain_increase[1:])
     return KeyFacts(
         (
-            fact("Gain may fall by", down, "dB", infinite="any amount"),
-            fact("Gain may rise by", up, "dB", infinite="any amount"),
+            fact("Gain margin, down", down, "dB"),
+            fact("Gain margin, up", up, "dB"),
             fact("Phase margin", w.phase_deg, "°", infinite="no crossover"),
-            fact("Delay margin", w.delay, "ms", 1e3, "any delay"),
+            fact("Delay margin", w.delay, "ms", 1e3),
             fact("Sensitivity peak", w.sensitivity_peak, ""),
         )
     )
 
 
 def three_numbers(view: View) -> KeyFacts:
-    """The three numbers of a loop that one would write down: rightmost pole, phase margin, sensitivity peak."""
+    """The three key metrics of a loop: rightmost nonzero pole, phase margin and delay margin."""
     w, m = view.margins.worst(), len(view.times)
     root = view.evidence.slowest_root()
-    value = Number(root.value, "1/s", infinite="no root that moves", undefined="none")
+    value = Number(root.value, "1/s", infinite="no nonzero pole", undefined="none")
     if np.isneginf(root.value):
         value = Number(0.0, "1/s")
-    known = 1.0 if view.stable else np.nan  # a margin somewhere on an unstable path is none
-    without = "none: no feedback" if not view.fed_back.any() else "unstable"
-    delay = Number(known * w.delay[0] * 1e3, "ms", infinite="any delay", undefined=without)
+    known = 1.0 if view.stable else np.nan  # margins are not defined if the loop is unstable at any time
+    without = "no feedback" if not view.fed_back.any() else "unstable"
+    delay = Number(known * w.delay[0] * 1e3, "ms", infinite="unlimited", undefined=without)
     phase = Number(known * w.phase_deg[0], "°", infinite="no crossover", undefined=without)
     return KeyFacts(
         (
-            Fact("Slowest root", value, "every root is at zero" if np.isneginf(root.value) else place_words(root.where, root.when or 0.0, m)),
+            Fact("Rightmost pole", value, "all poles are at zero" if np.isneginf(root.value) else place_words(root.where, root.when or 0.0, m)),
             Fact("Phase margin", phase, place_words(w.phase_deg[2], w.phase_deg[1], m) if np.isfinite(phase.value) else ""),
             Fact("Delay margin", delay, place_words(w.delay[2], w.delay[1], m) if np.isfinite(delay.value) else ""),
         )
@@ -84,7 +84,7 @@ def three_numbers(view: View) -> KeyFacts:
 
 
 def pole_rows(view: View, most: int = 24) -> Table:
-    """Poles at the worst place, slowest first: natural frequency, damping, time constant."""
+    """Poles in the worst case, slowest first: natural frequency, damping ratio and time constant."""
     i = view.worst.row
     rows = []
     for p in view.lin.pole_table(i):
@@ -93,7 +93,7 @@ def pole_rows(view: View, most: int = 24) -> Table:
         kind = {"zero": "at zero", "stable": "", "undamped": "undamped", "unstable": "unstable"}.get(p.kind, p.kind)
         rows.append((p.value, Number(p.frequency), Number(p.damping, undefined="–"), Number(p.time_constant, infinite="never decays"), kind))
     cut = f"; the slowest {most} of {len(rows)}" if len(rows) > most else ""
-    dead = "; dead time left out" if view.lin.delay or view.lin.force_delay else ""
+    dead = "; without dead time" if view.lin.delay or view.lin.force_delay else ""
     where = "" if len(view.times) == 1 else f" at t = {written(round(view.worst.time, 4), exact=True)} s"
     unit = "z" if view.lin.dt else "1/s"
     columns = (Column("Pole", unit), Column(Math("omega_n"), "rad/s"), Column(Math("zeta")), Column("Time constant", "s"), Column("", numeric=False))
@@ -101,7 +101,7 @@ def pole_rows(view: View, most: int = 24) -> Table:
 
 
 def points_table(view: View) -> Table | None:
-    """The worst margins at every analysis point of the law; None if there is only one."""
+    """The smallest margins at each analysis point of the law; None if there is only one."""
     points = view.lin.opened.points
     if len(points) < 2:
         return None
@@ -113,55 +113,55 @@ def points_table(view: View) -> Table | None:
         rows.append(
             (
                 point,
-                Number(float(low), infinite="any"),
-                Number(float(high), infinite="any"),
+                Number(float(low), infinite="unlimited"),
+                Number(float(high), infinite="unlimited"),
                 Number(w.phase_deg[0], infinite="no crossover"),
-                Number(w.delay[0] * 1e3, infinite="any"),
+                Number(w.delay[0] * 1e3, infinite="unlimited"),
                 Number(w.sensitivity_peak[0]),
             )
         )
     columns = (
-        Column("Opened at", numeric=False),
+        Column("Analysis point", numeric=False),
         Column("Gain down", "dB"),
         Column("Gain up", "dB"),
         Column("Phase", "°"),
         Column("Delay", "ms"),
         Column(Math("M_s")),
     )
-    return Table("The worst margins at every point where this loop can be opened, one channel at a time.", columns, tuple(rows))
+    return Table("Smallest margins at each analysis point, one loop at a time.", columns, tuple(rows))
 
 
 # --- figures ---------------------------------------------------------------------------------------------------------
 
 
 def frequency_figures(view: View, at: str | None = None, label: str = "") -> tuple[Block, ...]:
-    """Bode and Nyquist plots at the worst place, the margins drawn on the curve; a sentence where nothing is fed back."""
+    """Bode and Nyquist plots of the worst case with the margins marked; a sentence if there is no feedback."""
     point = at or view.point
     if not view.fed_back.any():
-        return (Paragraph(f"Nothing is fed back at “{point}”: L = 0, so there is no frequency response to draw and no margin to lose."),)
+        return (Paragraph(f"There is no feedback at “{point}”: L = 0, so the loop has no frequency response and no margins."),)
     w = view.worst
     m = view.margins if point == view.point else view.lin.margins(point)
     k = w.channel if point == view.point or m.channels == view.margins.channels else 0
     grid = view.frequencies()
     L = view.response(grid, point, k)
     if np.abs(L).max() < 1e-9:
-        return (Paragraph(f"Nothing is fed back at “{point}” in {m.channels[k]}: L = 0."),)
+        return (Paragraph(f"There is no feedback at “{point}” in {m.channels[k]}: L = 0."),)
     known: dict[str, Any] = dict(of_channel(m, w.row, k))
     ms = float(m.sensitivity_peak[w.row, k])
     where = place_words(m.channels[k], w.time, len(view.times))
-    said = margins_words(m, w.row, k) if view.stable else "the closed loop is unstable, so no margin is drawn"
+    said = margins_words(m, w.row, k) if view.stable else "the closed loop is unstable, so its margins are not defined"
     head = f"{label}: " if label else ""
     bode = Figure(
         partial(plots.bode, grid, L, index=k, **known),
-        f"{head}L(jω) opened at “{point}” in {where}: {said}.",
-        f"Bode plot of {view.name}, opened at {point} in {where}: {said}.",
+        f"{head}Open-loop response L(jω) at “{point}”, {where}: {said}.",
+        f"Bode plot of {view.name} at {point}, {where}: {said}.",
     )
     nyquist = Figure(
         partial(plots.nyquist, grid, L, sensitivity_peak=ms, index=k, **known),
         (
-            ("The same loop; the disc about −1 has the radius ", Math("1/M_s"), ", and L never enters it.")
+            ("The same open loop. L stays outside the disk about −1 of radius ", Math("1/M_s"), ".")
             if np.isfinite(ms)
-            else "The same loop; −1 is marked."
+            else "The same open loop; −1 is marked."
         ),
         f"Nyquist plot of {view.name}: {'sensitivity peak ' + written(ms) if np.isfinite(ms) else 'the loop is unstable'}.",
     )
@@ -169,16 +169,21 @@ def frequency_figures(view: View, at: str | None = None, label: str = "") -> tup
 
 
 def margins_words(m: Margins, i: int, k: int) -> str:
-    """The margins at one time and channel, in words."""
+    """The margins at one time and channel as text."""
     phase, reduction, increase = float(m.phase_deg[i, k]), float(m.gain_reduction[i, k]), float(m.gain_increase[i, k])
     first = "no crossover" if not np.isfinite(phase) else f"phase margin {Number(phase, '°')} at {Number(float(m.crossover[i, k]), 'rad/s')}"
-    low = "any lower gain" if reduction <= 0 else f"down to {written(reduction)} times"
-    high = "any higher gain" if not np.isfinite(increase) else f"up to {written(increase)} times"
-    return f"{first}, stable for {low} and {high} the gain"
+    low, high = reduction > 0, bool(np.isfinite(increase))
+    if not low and not high:
+        return f"{first}, stable for any positive gain"
+    if not high:
+        return f"{first}, stable for gains from {written(reduction)} times the nominal one upwards"
+    if not low:
+        return f"{first}, stable for gains up to {written(increase)} times the nominal one"
+    return f"{first}, stable for gains from {written(reduction)} to {written(increase)} times the nominal one"
 
 
 def pole_map(view: View) -> Figure:
-    """Poles at the worst place, those of the other times in grey."""
+    """Poles in the worst case; those at the other times in grey."""
     w, found = view.worst, view.poles
     slow = found[w.row][np.argmax(view.evidence.spectrum.rates[w.row].real)] if found.shape[1] else 0
     path = found if len(found) > 1 and np.abs(found - found[:1]).max() > 1e-6 * np.abs(found).max(initial=1e-9) else None
@@ -194,12 +199,12 @@ def pole_map(view: View) -> Figure:
 
 
 def complex_words(z: complex) -> str:
-    """A pole in words."""
+    """A pole as text."""
     return written(z.real) if abs(z.imag) < 1e-9 * max(abs(z), 1e-300) else f"{written(z.real)} ± {written(abs(z.imag))}j"
 
 
 def step_figure(view: View, run: StepRun) -> Figure:
-    """The linear step over the nonlinear run, and what drives it."""
+    """The linear and the nonlinear step response, and the torque or velocity of the joint that works hardest."""
     velocity = view.loop.equations.actuator == "velocity"
     limit = None
     joint = view.loop.robot.joint_names[run.joint]
@@ -221,37 +226,37 @@ def step_figure(view: View, run: StepRun) -> Figure:
             quantity=quantity,
             drive=f"{drive} [{drive_unit(unit, velocity)}]",
         ),
-        f"A {said}. Below: the {'velocity' if velocity else 'torque'} of {joint} that it takes.",
+        f"A {said}. Below: the {'velocity' if velocity else 'torque'} of {joint}.",
         f"Step response of {view.name}: {said}.",
     )
 
 
 def drive_unit(unit: str, velocity: bool) -> str:
-    """Unit of what drives a joint."""
+    """Unit of the torque, force or velocity that drives a joint."""
     return f"{unit}/s" if velocity else "Nm" if unit == "rad" else "N"
 
 
 def step_words(run: StepRun) -> str:
-    """A step in words."""
+    """A step response as text."""
     found = run.linear
     if found.outcome.name == "RAMPS":
-        first = "the linear response never settles (a root at zero integrates it)"
+        first = "the linear response does not settle (a pole at zero integrates it)"
     elif found.outcome.name == "GROWS":
         first = "the linear response grows"
     elif not np.isfinite(found.overshoot):
-        first = "the linear response comes back to zero"
+        first = "the linear response returns to zero"
     else:
         first = (
-            f"the linear model rises in {Number(found.rise, 's')}, settles in {Number(found.settling, 's')}, overshoots by"
+            f"linear model: rise time {Number(found.rise, 's')}, settling time {Number(found.settling, 's')}, overshoot"
             f" {written(100 * found.overshoot)} %"
         )
     if run.said:
-        return f"{first}; the nonlinear run stopped: {run.said}"
-    return f"{first}; the nonlinear run is never farther from it than {written(100 * run.misfit)} % of the step"
+        return f"{first}; the nonlinear simulation stopped: {run.said}"
+    return f"{first}; the nonlinear response differs by at most {written(100 * run.misfit)} % of the step"
 
 
 def history(view: View, most: int = 4) -> Figure | None:
-    """Up to ``most`` margins along the path with the limits asked; None for a single time, or where nothing is fed back."""
+    """Up to ``most`` margins along the path with the required limits; None for a single time or without feedback."""
     if len(view.times) < 2 or not view.fed_back.any():
         return None
     m, asked = view.margins, view.requirements.asked()
@@ -262,7 +267,7 @@ def history(view: View, most: int = 4) -> Figure | None:
     )
     return Figure(
         partial(plots.margin_history, m, {k: v for k, v in asked.items() if k in _LIMITS}, metrics=figures),
-        f"Margins along the path, opened at “{view.point}”; dashed: what was asked; the ring marks the worst.",
+        f"Margins along the path at “{view.point}”. Dashed: required limit; ring: worst case.",
         f"Margins of {view.name} against time: {said}.",
     )
 
@@ -272,7 +277,7 @@ def _worth(m: Margins, figure: str) -> bool:
 
 
 def scrubber(view: View) -> Scrubber | None:
-    """Poles and margins moving along the path; None for a single time or a discrete loop."""
+    """Poles and margins at a selectable time; None for a single time or a discrete loop."""
     m, asked = view.margins, view.requirements.asked()
     if len(view.times) < 2 or view.lin.dt or not view.fed_back.any():
         return None
@@ -293,7 +298,7 @@ def scrubber(view: View) -> Scrubber | None:
         view.poles,
         tuple(traces[:3]),
         view.worst.row,
-        "Poles (grey: their paths) and the smallest margins at one time of the path.",
+        "Poles (grey: their loci) and the smallest margins at one time along the path.",
         f"Poles and margins of {view.name} along the path; {said}.",
     )
 
@@ -317,15 +322,15 @@ def arm_figure(view: View) -> Figure:
             origins,
             worst=worst if moving else None,
             worst_time=float(view.worst.time) if moving else None,
-            title="Poses along the path" if moving else "The pose",
+            title="Poses along the path" if moving else "Pose",
         ),
-        f"The arm along its path{', the pose of the worst case in colour' if moving else ''}; {said}.",
+        f"{'The arm along its path, the pose of the worst case in colour' if moving else 'The arm in its pose'}; {said}.",
         f"Stick figure of {view.loop.robot.name}: {said}.",
     )
 
 
 def validation_figure(view: View, found: Validation) -> Figure | None:
-    """Linear prediction over the nonlinear run from a disturbed start; None where the run diverged."""
+    """Linear prediction and nonlinear simulation from an initial error; None if the simulation diverged."""
     if not np.isfinite(found.nonlinear).all() or found.t.size < 2:
         return None
     units = set(view.loop.robot.joint_units)
@@ -334,22 +339,26 @@ def validation_figure(view: View, found: Validation) -> Figure | None:
     panel = plots.Panel(f"deviation [{unit}]", found.nonlinear, beside=found.linear)
     return Figure(
         partial(plots.traces, found.t, (panel,), view.loop.robot.joint_names, said=("nonlinear", "linear")),
-        f"From a start {written(found.size, exact=True)} {unit} off the path: {said}.",
+        f"Initial error of {written(found.size, exact=True)} {unit}: {said}.",
         f"Deviations of {view.name}, nonlinear and linear: {said}.",
     )
 
 
 def validation_words(found: Validation, unit: str = "rad") -> str:
-    """The comparison with the nonlinear loop, in words."""
+    """The comparison with the nonlinear simulation as text."""
     if np.isnan(found.nrmse):
-        return "the nonlinear run from the operating point diverges, so there is nothing to compare"
+        return "the nonlinear simulation from the operating point diverges, so no comparison is possible"
     reach = (
-        f"any size tried (up to 3 {unit})" if np.isinf(found.radius) else "no size tried" if found.radius <= 0 else f"{written(found.radius)} {unit}"
+        f"all tested initial errors (up to 3 {unit})"
+        if np.isinf(found.radius)
+        else "none of the tested initial errors"
+        if found.radius <= 0
+        else f"initial errors up to {written(found.radius)} {unit}"
     )
     order = (
-        "the remainder is rounding (the loop is linear)"
+        "the remainder is rounding error (the loop is linear)"
         if np.isinf(found.taylor_order)
-        else f"the remainder shrinks with power {written(found.taylor_order)} of the size"
+        else f"the remainder has order {written(found.taylor_order)} in the initial error"
     )
-    off = f"over {written(found.time, exact=True)} s the linear model is off by {written(100 * found.nrmse)} %"
-    return f"{off}; it stays within 5 % up to {reach}; {order}"
+    off = f"over {written(found.time, exact=True)} s the error of the linear model is {written(100 * found.nrmse)} %"
+    return f"{off}; it stays below 5 % for {reach}; {order}"

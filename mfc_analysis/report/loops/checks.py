@@ -1,4 +1,4 @@
-"""A verdict of ``Requirements`` as checks of a section, in the units that a reader expects."""
+"""A verdict of ``Requirements`` as checks of a section, in the units shown to the reader."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _INFINITE = {"gain_increase_db": "no limit", "gain_reduction_db": "no limit", "p
 
 
 def checks(lines: Iterable[Line]) -> tuple[Line, ...]:
-    """The lines of a verdict in their order (failures first), in the units that a reader expects."""
+    """The lines of a verdict in their order (failures first), in the units shown to the reader."""
     return tuple(_shown(line) for line in lines)
 
 
@@ -29,11 +29,11 @@ def _shown(line: Line) -> Line:
         found=line.found * scale,
         unit=unit,
         distance=line.distance * scale,
-        infinite=_INFINITE.get(line.name, "infinite"),
+        infinite=_INFINITE.get(line.name, "unlimited"),
         undefined="neutral" if _neutral(line) else "unstable" if line.status is Status.FAIL else "not defined",
     )
 
 
 def _neutral(line: Line) -> bool:
-    """Whether nothing is defined because every root is at zero."""
+    """Whether the value is not defined because all poles are at zero."""
     return "at zero" in line.note or line.note.startswith("neutral")

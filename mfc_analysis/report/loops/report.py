@@ -1,4 +1,4 @@
-"""The report of one's own loops: ``mfc.report.write(loop, "out/", times, requirements=req)``, one loop or several."""
+"""The report of your own loops: ``mfc.report.write(loop, "out/", times, requirements=req)``, one loop or several."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ def write(
 
     Args:
         loop: a ``ClosedLoop``, a list of them, or a mapping from names to them.
-        times: (m,) [s] where they are linearised; or a mapping by the names of the loops.
+        times: (m,) [s] of the linearisations; or a mapping by the names of the loops.
         formats: some of "html", "pdf", "json".
-        requirements: what is asked of all loops, or of each by name; omitted: stability.
+        requirements: of all loops, or of each by name; omitted: stability only.
         at: analysis point of the margins, of all loops or of each by name; omitted: the plant input.
         title: of the report; name: of its files.
-        command, inputs (name -> bytes, shown by their SHA-256), settings, date: provenance; no clock is read.
+        command, inputs (name -> bytes, shown by their SHA-256), settings, date: provenance; the clock is not read.
         timestamp: the PDF's date [s since 1970]. progress: called with (done, of how many).
 
-    Raises BadArgument and its kin for what is not a loop, times, formats, a folder that is a file, an unknown point.
+    Raises BadArgument or a related error for invalid loops, times, formats or analysis points, and for a folder that is a file.
     """
     document = loop_document(loop, times, requirements, at=at, title=title, name=name, command=command, inputs=inputs, settings=settings, date=date)
     return render(document, folder, formats, timestamp=timestamp, progress=progress)
@@ -71,7 +71,7 @@ def loop_document(
     date: str = "",
     done: Callable[[str], None] | None = None,
 ) -> Document:
-    """The document behind ``write``; ``done`` is called with the name of each loop that is analysed."""
+    """The document behind ``write``; ``done`` is called with the name of each analysed loop."""
     from mfc_analysis.report.document.document import Document
     from mfc_analysis.report.document.provenance import provenance
     from mfc_analysis.report.document.symbols import symbols
@@ -149,13 +149,13 @@ def _name(loop: ClosedLoop) -> str:
 
 
 def scope(views: Sequence[View]) -> Scope:
-    """What the verdicts rest on, and what nobody looked at: from the loops as they are."""
+    """The basis of the verdicts and what is not checked, derived from the loops."""
     from mfc_analysis.report.document.document import Scope, written
 
     loops = [v.loop for v in views]
     model = [f"rigid arm with Pinocchio's dynamics: {x}" for x in dict.fromkeys(loop.robot.name for loop in loops)]
     if any(loop.equations.model is not loop.robot for loop in loops):
-        model.append("the controller believes in another model than the plant's")
+        model.append("the controller's model differs from the plant")
     elastic = any(loop.equations.hardware.elastic for loop in loops)
     model.append("elastic joints" if elastic else "rigid joints and links")
     points = []
@@ -170,21 +170,21 @@ def scope(views: Sequence[View]) -> Scope:
     if len(views) > 6:
         points.append(f"and {len(views) - 6} more loops")
     assumed = [
-        "linear figures hold for small deviations from the operating points",
-        "the integral states are trimmed so that the law's torque is the plant's inverse dynamics there",
+        "linear results hold for small deviations from the operating points",
+        "the integral states are trimmed so that the control torque equals the plant's inverse dynamics at the operating point",
     ]
     return Scope(tuple(model), tuple(assumed), tuple(points), tuple(not_checked(views)))
 
 
 def not_checked(views: Sequence[View]) -> list[str]:
-    """What these verdicts say nothing about."""
+    """What these verdicts do not cover."""
     loops = [v.loop for v in views]
     hardware = [loop.equations.hardware for loop in loops]
     out = []
     if any(not loop.ref.is_hold for loop in loops):
-        out.append("stability of the moving loop: all figures are frozen in time (floquet() and transient_growth() look at motion)")
+        out.append("stability during motion: all metrics are frozen in time (floquet() and transient_growth() include the motion)")
     if any(v.lin.delay or v.lin.force_delay for v in views):
-        out.append("dead time in poles and pole maps (margins, responses and verdicts have it exactly)")
+        out.append("dead time in the poles and pole maps (margins, responses and verdicts include it exactly)")
     missing = [
         word
         for word, there in (
@@ -197,10 +197,10 @@ def not_checked(views: Sequence[View]) -> list[str]:
         if all(getattr(h, there) is None for h in hardware) and not (there == "torque_lag" and any(h.velocity_lag is not None for h in hardware))
     ]
     if missing:
-        out.append("no loop here has " + ", ".join(missing))
+        out.append("not modelled in any loop: " + ", ".join(missing))
     out += [
         "friction other than the model's viscous and Coulomb terms",
-        "other payloads, poses and speeds than those of the path",
+        "payloads, poses and speeds other than those of the path",
         "sensor noise and quantisation",
     ]
     return out

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mfc_analysis.simulation.validation import Validation
 
 
-VALIDATED, SHORTEST = 1.0, 0.1  #: [s] of the comparison with the nonlinear loop: at most, and at least where a mode rings
+VALIDATED, SHORTEST = 1.0, 0.1  #: [s] longest comparison with the nonlinear loop, and the shortest one if a mode is lightly damped
 SEGMENTS, PERIODS, RINGS = 60, 5.0, 0.2  #: samples or dead times; periods of the fastest mode whose damping ratio is below ...
 _HARDWARE = {
     "torque_lag": ("torque lag", "s"),
@@ -56,7 +56,7 @@ _HARDWARE = {
 
 
 def loop_section(view: View) -> Section:
-    """Everything about one loop, in the order of a loop report: what was asked, the loop, margins, poles, step, validity, pose."""
+    """All sections about one loop in order: requirements, the loop, margins, poles, step response, validity, pose."""
     found = validated(view)
     inner = [
         the_loop(view),
@@ -109,10 +109,10 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
 
 
 def validated(view: View, time: float = VALIDATED) -> Validation | None:
-    """The comparison with the nonlinear loop over at most ``time`` [s]; None where it refuses (a start that the law cannot take).
+    """The comparison with the nonlinear loop over at most ``time`` [s]; None if the law cannot start from the operating point.
 
-    It takes about sixteen runs, so it is shorter where a run is slow: at most ``SEGMENTS`` samples or dead times, and
-    ``PERIODS`` of the fastest mode that rings, and ``GROWTH`` time constants of a loop that grows.
+    It takes about sixteen simulations, so the time is shorter if a simulation is slow: at most ``SEGMENTS`` samples or dead times,
+    ``PERIODS`` periods of the fastest lightly damped mode, and ``GROWTH`` time constants of an unstable loop.
     """
     hardware = view.loop.equations.hardware
     grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=np.inf)
@@ -134,7 +134,7 @@ def _notes(view: View) -> list[Block]:
     said = [*notes, *view.verdict.notes]
     out: list[Block] = [Bullets(tuple(x[:1].upper() + x[1:] + "." for x in said))] if said else []
     if not view.requirements.asked():
-        out.append(Paragraph("Only stability was asked of this loop; with requirements (margins, damping, settling, ...) their lines stand here."))
+        out.append(Paragraph("Only stability is required of this loop. Further requirements (margins, damping, settling, ...) would be listed here."))
     return out
 
 
@@ -149,7 +149,7 @@ def the_loop(view: View) -> Section:
     if source:
         body.append(Equation(source, f"control law, equation {law.equation}", law.equation))
     if law.chosen_form != "standard":
-        body.append(Callout(Status.WATCH, f"form = {law.chosen_form!r}", "The equation above is the standard form; this loop runs the other one."))
+        body.append(Callout(Status.WATCH, f"form = {law.chosen_form!r}", "The equation above is the standard form. This loop uses another form."))
     if view.loop.equations.actuator == "torque":
         contact = ' + J_b^top F_"tip"' if view.loop.equations.surfaces else ""
         body.append(Equation(f"M(q) dot.double(q) + h(q, dot(q)){contact} = tau", "equation of motion", "9.19" if contact else "9.7"))
@@ -160,7 +160,7 @@ def the_loop(view: View) -> Section:
 
 
 def diagram(view: View) -> Figure:
-    """The loop as boxes, with every point at which it can be opened."""
+    """Block diagram of the loop with its analysis points."""
     law, hardware = view.loop.law, view.loop.equations.hardware
     points = view.lin.opened.points
     name = type(law).__name__
@@ -184,13 +184,13 @@ def diagram(view: View) -> Figure:
     others = ", ".join(points)
     return Figure(
         partial(plots.block, tuple(chain), reference=reference, output=output, back=back, at=view.point),
-        f"The loop under eq. {law.equation}; filled: where it is opened here (“{view.point}”). It can be opened at: {others}.",
-        f"Block diagram of {view.name}: {' to '.join(text.replace(chr(10), ' ') for text, _ in chain)}, opened at {view.point}; points {others}.",
+        f"The loop of eq. {law.equation}. Filled: the analysis point used here (“{view.point}”). Available analysis points: {others}.",
+        f"Block diagram of {view.name}: {' to '.join(text.replace(chr(10), ' ') for text, _ in chain)}, opened at {view.point}; available: {others}.",
     )
 
 
 def parameters(view: View) -> tuple[Block, ...]:
-    """Gains, and what stands around them: robot, model, path, hardware, surfaces."""
+    """Tables of the gains and of robot, model, path, hardware and surfaces."""
     out: list[Block] = []
     law, n = view.loop.law, view.loop.robot.n
     rows = []
@@ -202,7 +202,7 @@ def parameters(view: View) -> tuple[Block, ...]:
             Column("Unit", numeric=False),
             Column(f"Value ({'per joint' if law.space == 'joint' and n > 1 else 'scalar, diagonal or matrix'})", numeric=False),
         )
-        out.append(Table("Gains of the law.", heads, tuple(rows)))
+        out.append(Table("Controller gains.", heads, tuple(rows)))
     facts = [("robot", robot_words(view)), ("controller's model", model_words(view)), ("reference", reference_words(view))]
     hardware = view.loop.equations.hardware
     for field in fields(hardware):
@@ -216,7 +216,7 @@ def parameters(view: View) -> tuple[Block, ...]:
         facts.append(("hardware", "ideal: no lag, dead time, sampling, filter, flexibility or limit"))
     for k, surface in enumerate(view.loop.equations.surfaces):
         facts.append((f"surface {k + 1}", surface_words(surface)))
-    columns = (Column("What", numeric=False), Column("Which", numeric=False))
+    columns = (Column("Item", numeric=False), Column("Value", numeric=False))
     out.append(Table("Robot, model, path and hardware.", columns, tuple(facts)))
     return tuple(out)
 
@@ -236,18 +236,18 @@ def array_words(a: Array) -> str:
 
 
 def robot_words(view: View) -> str:
-    """The plant in words."""
+    """The plant as text."""
     robot = view.loop.robot
     payload = "".join(f", payload {written(float(p.mass), exact=True)} kg at {robot.tool}" for p in robot.payloads)
     return f"{robot.name}, {robot.n} {'joint' if robot.n == 1 else 'joints'} ({', '.join(robot.joint_names)}), tool {robot.tool}{payload}"
 
 
 def model_words(view: View) -> str:
-    """The controller's model in words: whether it is the plant, and if not what tells them apart."""
+    """The controller's model as text: whether it equals the plant, and if not, how they differ."""
     loop = view.loop
     model = loop.equations.model
     if model is loop.robot:
-        return "exact: the plant itself"
+        return "exact (equal to the plant)"
     q = loop.nominal(view.times[:1]).q[0]
     gap = float(np.abs(model.mass(q) - loop.robot.mass(q)).max() / np.abs(loop.robot.mass(q)).max())
     payload = sum(float(p.mass) for p in loop.robot.payloads) - sum(float(p.mass) for p in model.payloads)
@@ -259,7 +259,7 @@ def model_words(view: View) -> str:
 
 
 def reference_words(view: View) -> str:
-    """The reference in words."""
+    """The reference as text."""
     ref = view.loop.ref
     kind = type(ref).__name__
     span = (
@@ -277,7 +277,7 @@ def reference_words(view: View) -> str:
 
 
 def surface_words(surface: Any) -> str:
-    """A surface in words."""
+    """A surface as text."""
     k, d = (array_words(np.asarray(x, float)) if np.ndim(x) < 2 else "a 6 × 6 matrix" for x in (surface.stiffness, surface.damping))
     preload = np.asarray(surface.preload, float)
     pressed = f", preload {array_words(preload)} N" if preload.any() else ""
@@ -288,7 +288,7 @@ def surface_words(surface: Any) -> str:
 
 
 def frequency_section(view: View) -> Section:
-    """Bode and Nyquist at the worst place, what the loop is sensitive to, the margins at every point."""
+    """Bode and Nyquist plots of the worst case, the key margins, and the margins at every analysis point."""
     body: list[Block] = []
     if view.stable and view.fed_back.any():
         body.append(blocks.sensitivity(view))
@@ -301,17 +301,17 @@ def frequency_section(view: View) -> Section:
         block, more = disk_block(view)
         body += block
     finding = view.tightest()
-    return Section("How far it is from instability", finding[:1].upper() + finding[1:] + ".", tuple(body), numbers=more)
+    return Section("Stability margins", finding[:1].upper() + finding[1:] + ".", tuple(body), numbers=more)
 
 
 def disk_block(view: View) -> tuple[tuple[Block, ...], dict[str, Any]]:
-    """The disk margin at the worst place: all loops at once."""
+    """The disk margin in the worst case: all channels varied at once."""
     one = view.lin.again(view.times[view.worst.row : view.worst.row + 1])
     found = one.disk_margin(view.point)
     alpha = float(found.alpha[0])
     if not np.isfinite(alpha):
         return (), {}
-    note = "all channels at once, each by its own"
+    note = "all channels at once, independently"
     facts = KeyFacts(
         (
             Fact(
@@ -319,8 +319,8 @@ def disk_block(view: View) -> tuple[tuple[Block, ...], dict[str, Any]]:
                 Number(alpha),
                 f"{found.bound.name.lower()}; at {Number(float(found.frequency[0]), 'rad/s', infinite='no frequency')}",
             ),
-            Fact("All gains at once", Number(float(found.gain_db[0]), "dB", sign="±", infinite="any"), note),
-            Fact("All phases at once", Number(float(found.phase_deg[0]), "°", sign="±"), note),
+            Fact("Simultaneous gain variation", Number(float(found.gain_db[0]), "dB", sign="±", infinite="unlimited"), note),
+            Fact("Simultaneous phase variation", Number(float(found.phase_deg[0]), "°", sign="±"), note),
         )
     )
     return (facts,), {"disk_margin": alpha, "disk_frequency": float(found.frequency[0])}
@@ -331,18 +331,16 @@ def pole_section(view: View) -> Section:
     root = view.evidence.slowest_root()
     line = view.verdict.line("stable")
     if np.isneginf(root.value) or np.isnan(root.value):
-        finding = "Every root is at zero: " + (line.note or "nothing decays") + "."
+        finding = "All poles are at zero: " + (line.note or "no error decays") + "."
     else:
-        finding = (
-            f"The rightmost root that is not at zero is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
-        )
+        finding = f"The rightmost nonzero pole is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
     body: list[Block] = [Row((blocks.pole_map(view),)), blocks.pole_rows(view)]
     numbers: dict[str, Any] = {}
     if view.lin.delay or view.lin.force_delay:
         one = view.lin.again(view.times[view.worst.row : view.worst.row + 1])
         roots = one.delay_roots(6)[0]
         said = ", ".join(blocks.complex_words(complex(s)) for s in roots if s.imag >= 0)
-        body.append(Paragraph(f"With the dead time, exactly: the rightmost characteristic roots are at {said} 1/s."))
+        body.append(Paragraph(f"With the exact dead time, the rightmost characteristic roots are at {said} 1/s."))
         numbers["delay_roots"] = roots
     return Section("Poles", finding, tuple(body), numbers=numbers)
 
@@ -373,7 +371,7 @@ def path_section(view: View) -> Sequence[Section]:
 
 
 def time_section(view: View) -> Section:
-    """A step, linear over nonlinear; free runs where nothing is fed back."""
+    """Linear and nonlinear step response; a free response if there is no feedback."""
     run = step_run(view)
     if run is None:
         return _free_run(view)
@@ -388,42 +386,46 @@ def time_section(view: View) -> Section:
         "outcome": run.linear.outcome.value,
     }
     said = blocks.step_words(run)
-    return Section("A step, linear and nonlinear", said[:1].upper() + said[1:] + ".", (Row((blocks.step_figure(view, run),)),), numbers=numbers)
+    return Section(
+        "Step response, linear and nonlinear", said[:1].upper() + said[1:] + ".", (Row((blocks.step_figure(view, run),)),), numbers=numbers
+    )
 
 
 def _free_run(view: View) -> Section:
-    """The nonlinear run along the path from a start that is off it."""
+    """Nonlinear simulation along the path with an initial error."""
     loop = view.loop
     span = float(view.times[-1] - view.times[0]) or 2.0
     times = float(view.times[0]) + np.linspace(0.0, span, 301)
     try:
         run = loop.simulate(times, initial_error=0.05)
     except MfcError as why:
-        return Section("A nonlinear run", f"No run: {why}.")
+        return Section("Nonlinear simulation", f"Simulation not possible: {why}.")
     tool = loop.law.space == "tool"
     names = tuple(f"X_e_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")) if tool else loop.robot.joint_names
     units = "m, rad" if tool else ", ".join(sorted(set(loop.robot.joint_units)))
     first, last = np.abs(run.error[0]).max(), np.abs(run.error[-1]).max()
     said = (
-        f"from an error of {written(float(first))} the largest error after {Number(float(run.t[-1] - run.t[0]), 's')} is {written(float(last))}"
-        f" {units}"
+        f"from an initial error of {written(float(first))} the largest error after {Number(float(run.t[-1] - run.t[0]), 's')} is"
+        f" {written(float(last))} {units}"
     )
     if run.diverged:
         said += f" ({run.message})"
     drive = plots.Panel(f"{'velocity' if loop.equations.actuator == 'velocity' else 'torque'}", run.command)
     figure = Figure(
         partial(plots.traces, run.t, (plots.Panel(f"error [{units}]", run.error), drive), names),
-        f"A nonlinear run: {said}.",
-        f"Nonlinear run of {view.name}: {said}.",
+        f"Nonlinear simulation: {said}.",
+        f"Nonlinear simulation of {view.name}: {said}.",
     )
-    return Section("A nonlinear run", said[:1].upper() + said[1:] + ".", (figure,), numbers={"first_error": float(first), "last_error": float(last)})
+    return Section(
+        "Nonlinear simulation", said[:1].upper() + said[1:] + ".", (figure,), numbers={"first_error": float(first), "last_error": float(last)}
+    )
 
 
 def validity_section(view: View, found: Validation | None) -> Section:
-    """Linear prediction against the nonlinear loop: error number and reach."""
-    title = "How far the linear model holds"
+    """Linear prediction compared with the nonlinear simulation: model error and range of validity."""
+    title = "Validity of the linear model"
     if found is None:
-        return Section(title, "The nonlinear loop refuses to start from the operating point, so nothing was compared.", verdict=Status.WATCH)
+        return Section(title, "The nonlinear simulation cannot start from the operating point, so no comparison is made.", verdict=Status.WATCH)
     units = sorted(set(view.loop.robot.joint_units))
     unit = units[0] if len(units) == 1 else "rad, m"
     said = blocks.validation_words(found, unit)
@@ -431,12 +433,12 @@ def validity_section(view: View, found: Validation | None) -> Section:
     facts = KeyFacts(
         (
             Fact(
-                "Misfit",
+                "Model error",
                 Number(100 * found.nrmse, "%", undefined="diverged"),
-                f"at {written(found.size, exact=True)} {unit}, over {written(found.time, exact=True)} s",
+                f"initial error {written(found.size, exact=True)} {unit}, over {written(found.time, exact=True)} s",
             ),
-            Fact("Holds up to", Number(found.radius, unit, infinite="any size tried"), "misfit below 5 %"),
-            Fact("Taylor order", Number(found.taylor_order, infinite="exact", undefined="diverged"), "2: the linearisation is right"),
+            Fact("Valid up to", Number(found.radius, unit, infinite="all tested sizes"), "model error below 5 %"),
+            Fact("Taylor order", Number(found.taylor_order, infinite="exact", undefined="diverged"), "2 confirms the linearisation"),
         )
     )
     body: tuple[Block, ...] = (facts,) if figure is None else (facts, figure)
@@ -445,4 +447,4 @@ def validity_section(view: View, found: Validation | None) -> Section:
 
 def pose_section(view: View) -> Sequence[Section]:
     """The arm as a stick figure."""
-    return (Section("Where the arm is", body=(Row((blocks.arm_figure(view),)),)),)
+    return (Section("Pose of the arm", body=(Row((blocks.arm_figure(view),)),)),)

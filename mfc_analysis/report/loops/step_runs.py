@@ -1,7 +1,7 @@
-"""A step of the reference, linear and nonlinear: what the linear model promises, and what the nonlinear loop does with the same step.
+"""Step responses to the reference: the linear prediction and the nonlinear simulation of the same step.
 
-The nonlinear response is the run with the stepped reference less the run without it, both from the operating point. On a moving
-path the linear one is frozen at the instant of the step, and the difference shows.
+The nonlinear response is the difference of two simulations from the operating point, with and without the step. On a moving
+path the linear model is frozen at the time of the step, so the two responses differ.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 
 JOINT, PRISMATIC, LINEAR, ANGULAR = 0.05, 0.01, 0.005, 0.02  #: [rad], [m], [m], [rad] sizes of the steps
-FORCE = 0.05  #: part of the force asked for; at least 1 N (Nm)
-LONGEST, SAMPLES, SEGMENTS = 4.0, 300, 300  #: [s]; points kept; dead-time segments or samples that a run may take
-GROWTH = 4.0  #: time constants of the fastest growth for which an unstable step is followed
+FORCE = 0.05  #: fraction of the desired force; at least 1 N (Nm)
+LONGEST, SAMPLES, SEGMENTS = 4.0, 300, 300  #: longest run [s]; points kept; most dead-time segments or samples of a run
+GROWTH = 4.0  #: length of an unstable step response in time constants of the fastest growth
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class Shifted:
 
 @dataclass(frozen=True, eq=False)
 class ToolOf:
-    """The tool motion of a joint reference, as a tool law sees it."""
+    """The tool motion of a joint reference, as input of a tool law."""
 
     source: Any
     equations: Equations
@@ -81,20 +81,20 @@ class StepRun:
     channel: str
     t: Array  #: (k,) [s] since the step
     predicted: Array  #: (k,) the linear response to the step of this size
-    nonlinear: Array  #: (k,) what the nonlinear loop does; shorter than t where it diverged
-    drive: Array  #: (k,) torque [Nm] (velocity laws: velocity) of the joint that works hardest, less that without the step
+    nonlinear: Array  #: (k,) the nonlinear response; shorter than t if it diverged
+    drive: Array  #: (k,) change of the torque [Nm] (velocity laws: velocity) of the joint that works hardest
     joint: int  #: that joint
-    said: str  #: how the nonlinear run ended, where it did not reach its end
+    said: str  #: why the nonlinear simulation stopped early; empty otherwise
 
     @property
     def misfit(self) -> float:
-        """Largest |nonlinear - linear| in parts of the step; NaN where the run diverged."""
+        """Largest |nonlinear - linear| as a fraction of the step; NaN if the simulation diverged."""
         k = self.nonlinear.size
         return float("nan") if self.said or not k else float(np.abs(self.nonlinear - self.predicted[:k]).max() / abs(self.size))
 
 
 def step_run(view: View) -> StepRun | None:
-    """A step of the reference channel at the worst place; None where the law has no reference that the loop follows."""
+    """Step response of the reference channel in the worst case; None if the loop follows no reference."""
     system, pairs = followed(view.lin)
     if not pairs or not view.fed_back.any():
         return None
@@ -145,7 +145,7 @@ def _size(loop: ClosedLoop, source: str, channel: str) -> tuple[float, str]:
 
 
 def wrench_asked(loop: ClosedLoop) -> Array:
-    """(6,) the wrench that a force law asks for; a copy."""
+    """(6,) the desired wrench of a force law; a copy."""
     return np.zeros(6) if loop.law.desired_wrench is None else np.array(loop.law.desired_wrench)
 
 

@@ -1,4 +1,4 @@
-"""A loop as a report sees it: its verdict, its linearisation, its margins, and the worst place along its path; each computed once."""
+"""A loop with the results that a report shows: verdict, linearisation, margins and the worst case along the path; each computed once."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ if TYPE_CHECKING:
     from mfc_analysis.requirements.evidence import Evidence
 
 
-NO_FEEDBACK = 1e-12  #: |L| below which nothing is fed back
+NO_FEEDBACK = 1e-12  #: |L| below which a channel counts as without feedback
 MOST_DECADES = 7.0  #: of a frequency axis
-FAR, FAST = 0.5, 10.0  #: [rad, m], [rad/s, m/s] beyond which a run that leaves its operating point is not followed
+FAR, FAST = 0.5, 10.0  #: [rad, m], [rad/s, m/s] beyond which a diverging simulation is cut off
 
 
 class Place(NamedTuple):
-    """The worst place of a loop along its path."""
+    """The worst case of a loop along its path."""
 
-    row: int  #: of the time
-    channel: int  #: of the analysis point
+    row: int  #: index of the time
+    channel: int  #: index of the channel at the analysis point
     time: float  #: [s]
     name: str  #: of the channel
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One loop with what its pages need.
+    """One loop with the results that its pages need.
 
     Args:
-        name: the loop in the reader's words. times: (m,) [s]. at: analysis point; None: the plant input.
+        name: of the loop, as shown to the reader. times: (m,) [s]. at: analysis point; None: the plant input.
     """
 
     name: str
@@ -51,12 +51,12 @@ class View:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """What was asked and found."""
+        """The requirements and the values found."""
         return self.requirements.check(self.loop, self.times, self.at)
 
     @property
     def evidence(self) -> Evidence:
-        """The figures behind the verdict."""
+        """The metrics behind the verdict."""
         return self.verdict.evidence
 
     @property
@@ -76,24 +76,24 @@ class View:
 
     @property
     def checks(self) -> tuple[Line, ...]:
-        """The lines of the verdict, in the units of a reader."""
+        """The lines of the verdict, in the units shown to the reader."""
         return checks(self.verdict.lines)
 
     @cached_property
     def stable(self) -> bool:
-        """Whether the roots that are not at zero lie inside at all times, so that margins have a meaning."""
+        """Whether all nonzero poles are stable at all times, so that the margins are defined."""
         return bool(self.evidence.judged.all())
 
     @cached_property
     def fed_back(self) -> Bools:
-        """(n,) whether anything passes each channel of the analysis point at any time, judged by its loop transfer."""
+        """(n,) whether each channel of the analysis point has feedback at any time, judged by its loop transfer function."""
         grid = np.geomspace(1e-2, 1e3, 12) if not self.lin.dt else np.geomspace(1e-2, 0.9 * np.pi / self.lin.dt, 12)
         few = self.lin.again(self.times[np.unique(np.linspace(0, len(self.times) - 1, 3).astype(int))])
         return np.asarray(np.nanmax(np.abs(few.frequency_response(grid, self.point)), axis=(0, 2), initial=0.0) > NO_FEEDBACK)
 
     @cached_property
     def worst(self) -> Place:
-        """Where the phase margin is smallest; without a crossover the gain margins, then the peak decide; unstable: the rightmost root."""
+        """The smallest phase margin; without a crossover, the gain margins, then the peak decide. Unstable loops: the rightmost pole."""
         m, names = self.margins, self.margins.channels
         if not self.stable:
             root = self.evidence.slowest_root()
@@ -110,7 +110,7 @@ class View:
         return Place(0, 0, float(self.times[0]), names[0])
 
     def frequencies(self, count: int = 360) -> Array:
-        """(count,) [rad/s] around the poles and crossings at the worst place."""
+        """(count,) [rad/s] around the poles and crossover frequencies of the worst case."""
         i, k = self.worst.row, self.worst.channel
         m = self.margins
         at = np.concatenate(
@@ -127,25 +127,25 @@ class View:
         return np.geomspace(low, high, count)
 
     def response(self, frequencies: Array, at: str | None = None, channel: int | None = None) -> Complex:
-        """(nf,) L(jw) at the worst place (``channel``: another one), dead time included."""
+        """(nf,) L(jw) in the worst case (``channel``: of another channel), dead time included."""
         one = self.lin.again(self.times[self.worst.row : self.worst.row + 1])
         return np.asarray(one.frequency_response(frequencies, at or self.point)[0, self.worst.channel if channel is None else channel])
 
     @property
     def poles(self) -> Complex:
-        """(m, nx) closed-loop poles, slowest first, those at zero exact; dead time left out."""
+        """(m, nx) closed-loop poles, slowest first, those at zero exact; without dead time."""
         return self.evidence.spectrum.poles
 
     @property
     def growth(self) -> float:
-        """[1/s] how fast the loop grows at the worst place: the largest real part of its poles; 0 where none is to the right."""
+        """[1/s] growth rate in the worst case: the largest real part of the poles; 0 if none is positive."""
         real = self.evidence.spectrum.rates[self.worst.row].real
         return float(np.max(real[np.isfinite(real)], initial=0.0))
 
     def calm(self, duration: float) -> float:
-        """How much of ``duration`` [s] a run from the worst place is worth following: until it is ``FAR`` from its reference or faster than ``FAST``.
+        """The part of ``duration`` [s] to simulate from the worst case: until the error exceeds ``FAR`` or the speed exceeds ``FAST``.
 
-        All of it where the loop is stable and rests at its operating point.
+        The whole duration if the loop is stable and the residual at the operating point is zero.
         """
         if self.growth == 0 and not any(line.name == "residual" for line in self.verdict.lines):
             return duration
@@ -157,7 +157,7 @@ class View:
             span = min(2 * span, duration)
 
     def summary(self) -> str:
-        """The finding, in a sentence made from the verdict."""
+        """The finding as a sentence, made from the verdict."""
         line, checks = self.verdict.worst, self.checks
         if self.verdict.status == "PASS":
             asked = len(checks)
@@ -170,18 +170,18 @@ class View:
         if np.isnan(line.found):
             return f"{name}: {found_of(said)}{place}{note}."
         if line.name == "stable":
-            word = "Not stable" if line.status == "FAIL" else "Stable, with a reservation"
-            return f"{word}: the rightmost root is at {found_of(said)}{place}{note}."
-        return f"{name} is {found_of(said)} where {limit_of(said)} was asked{place}{note}."
+            word = "Not stable" if line.status == "FAIL" else "Stable, with a warning"
+            return f"{word}: the rightmost pole is at {found_of(said)}{place}{note}."
+        return f"{name} is {found_of(said)}, required: {limit_of(said)}{place}{note}."
 
     def tightest(self) -> str:
-        """The margins at the worst place, in words."""
+        """The margins in the worst case as text."""
         if not self.stable:
-            return "no margin is defined, for the loop is unstable"
+            return "the loop is unstable, so its margins are not defined"
         w, m = self.worst, self.margins
         phase, crossover = float(m.phase_deg[w.row, w.channel]), float(m.crossover[w.row, w.channel])
         if not self.fed_back.any():
-            return "nothing is fed back, so there is no margin to lose"
+            return "there is no feedback, so there are no margins"
         where = place_words(w.name, w.time, len(self.times))
         if not np.isfinite(phase):
             return f"the loop has no crossover ({where})"
@@ -189,5 +189,5 @@ class View:
 
 
 def place_words(name: str, time: float, count: int) -> str:
-    """Channel and time in words; of a single time the channel alone."""
+    """Channel and time as text; only the channel if there is a single time."""
     return name if count == 1 else f"{name}, t = {written(round(time, 4), exact=True)} s"

@@ -121,10 +121,10 @@ def test_every_kind_of_loop_has_its_pages(kind):
     data = json.loads(rendered(document(kind), ("json",))["json"])
     (section,) = data["sections"]
     titles = [s["title"] for s in section["sections"]]
-    assert titles[:3] == ["The loop and its parameters", "How far it is from instability", "Poles"]
-    assert titles[-2:] == ["How far the linear model holds", "Where the arm is"]
+    assert titles[:3] == ["The loop and its parameters", "Stability margins", "Poles"]
+    assert titles[-2:] == ["Validity of the linear model", "Pose of the arm"]
     assert ("Along the path" in titles) == (len(LOOPS[kind]()[1]) > 1 and "open loop" not in kind)
-    assert all(s["finding"] or s["title"] in ("The loop and its parameters", "Where the arm is") for s in section["sections"])
+    assert all(s["finding"] or s["title"] in ("The loop and its parameters", "Pose of the arm") for s in section["sections"])
     assert section["status"] == data["verdict"]["status"]
 
 
@@ -178,7 +178,7 @@ def test_numbers_of_the_report_are_python_controls_and_the_closed_forms():
     poles = [complex(z["re"], z["im"]) if isinstance(z, dict) else z for z in n["poles"]]
     assert_allclose(np.poly(poles), np.array([I, B + kd, kp + plant[2], ki]) / I, rtol=1e-9)
     assert_allclose(n["delay"][0], np.radians(phase) / crossover, rtol=1e-6)
-    step = next(s for s in section["sections"] if s["title"] == "A step, linear and nonlinear")["numbers"]
+    step = next(s for s in section["sections"] if s["title"] == "Step response, linear and nonlinear")["numbers"]
     _, y = control.step_response(_from_reference(kp, ki, kd, plant), np.linspace(0, 4, 40001))
     assert_allclose(step["overshoot"], y.max() - 1, rtol=1e-4)
     assert step["misfit"] < 0.02
@@ -191,7 +191,7 @@ def _from_reference(kp: float, ki: float, kd: float, plant: list[float]) -> cont
 
 def test_the_step_on_a_moving_path_is_compared_with_the_loop_frozen_there():
     (section,) = document("wrong model, moving").sections
-    found = next(s for s in section.sections if s.title == "A step, linear and nonlinear").numbers
+    found = next(s for s in section.sections if s.title == "Step response, linear and nonlinear").numbers
     assert 0 < found["misfit"] < 0.1 and found["size"] == 0.05
 
 
