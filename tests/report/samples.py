@@ -118,7 +118,7 @@ def figures() -> tuple[Figure, ...]:
 def document(overshoot: float = 15.9, title: str = "Joint 3 position loop") -> Document:
     bode, nyquist, pole_map, step, path = figures()
     p = (-2.97 + 0j, -14.7 + 0j, -40.9 + 0j, -306.8 + 0j, -3993 + 2308j)
-    one = Section("Requirements", "The overshoot is 15.9 % where 10 % was asked.", checks=checks(overshoot), loop="elbow PID")
+    one = Section("Requirements", "The overshoot is 15.9 %, required: at most 10 %.", checks=checks(overshoot), loop="elbow PID")
     two = Section(
         "Loop",
         body=(
@@ -194,7 +194,7 @@ def one_loop(name: str, phase: float, asked: float = 45.0) -> Section:
     values = np.array([-3.0 + 4j, -3.0 - 4j, -5.0]) if phase == phase else np.array([1.0, -3.0])
     return Section(
         f"Computed torque: {name}",
-        (f"{name}: the phase margin is ", str(found_of(found[0])), ", where ", Math("phi_m >= 45 degree"), " was asked."),
+        (f"{name}: the phase margin is ", str(found_of(found[0])), "; required: ", Math("phi_m >= 45 degree"), "."),
         (
             Equation(
                 r"tau = hat(M)(q)(dot.double(q)_d + K_p e + K_i integral e + K_d dot(e)) + hat(h)(q, dot(q))",
@@ -220,7 +220,7 @@ def misprint() -> Section:
     printed = side("As printed", Status.FAIL, r"tau = hat(M) a + hat(h)(q_d, dot(q)_d)", float("nan"), np.array([0.4, -3.0]))
     standard = side("Standard", Status.PASS, r"tau = hat(M) a + hat(h)(q, dot(q))", 62.0, np.array([-3.0, -5.0]))
     remark = Callout(Status.WATCH, "Read this", "The printed form is kept as form='printed'.")
-    return Section("What the misprint of 9.10 costs", body=(Compare(printed, standard, "Every margin: the printed form is unstable."), remark))
+    return Section("Effect of the misprint of 9.10", body=(Compare(printed, standard, "Every margin: the printed form is unstable."), remark))
 
 
 def chapter(phase: float = 62.0, hostile: str = "UR5 + 2 kg") -> Document:

@@ -1,4 +1,4 @@
-"""The neutral document: what a report says, as values. HTML, PDF and JSON render the same ones, so they cannot disagree.
+"""The neutral document: the contents of a report as values. HTML, PDF and JSON render the same values, so they cannot disagree.
 
 ::
 
@@ -7,8 +7,8 @@
     |   +-- Paragraph, Bullets, Code, Callout, Equation, Table, Figure, Row, KeyFacts, Compare, Matrix, Scrubber
     +-- Scope, Provenance, Symbol ...
 
-Banner, matrix and worst case are computed from the sections' checks (``verdict.py``); nobody writes them by hand.
-Text is a string, or a tuple of strings and spans (``Math``, ``Mono``, ``Strong``, ``Link``). A string is text, never markup, whatever is in it.
+Banner, matrix and worst case are computed from the sections' checks (``verdict.py``); they are never written by hand.
+Text is a string, or a tuple of strings and spans (``Math``, ``Mono``, ``Strong``, ``Link``). A string is always text, never markup.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _FORBIDDEN = ("#", "$", "`", "//", "/*", "\\u")
 
 @dataclass(frozen=True)
 class Math:
-    """Mathematics in Typst's notation, ours only: a source that could leave math mode raises ``BadArgument``."""
+    """Mathematics in Typst notation. A source that could leave math mode raises ``BadArgument``."""
 
     source: str  #: e.g. ``K_p dot(q)``; names of several letters in quotes
     alt: str = ""  #: spoken form; default: the source
@@ -41,21 +41,21 @@ class Math:
 
 @dataclass(frozen=True)
 class Mono:
-    """Text in a fixed pitch: names of files, code, commands."""
+    """Monospaced text: file names, code, commands."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Strong:
-    """Text that matters."""
+    """Emphasised text."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Link:
-    """Text that leads to a section of the same document, by its key."""
+    """A link to a section of the same document, by its key."""
 
     text: str
     target: str
@@ -67,7 +67,7 @@ Text = str | Math | Mono | Strong | Link | tuple[Span, ...]
 
 @dataclass(frozen=True)
 class Number:
-    """A number with its unit; in JSON it stays a number, and what is infinite or undefined is a word."""
+    """A number with its unit. In JSON it stays a number; infinite and undefined values are words."""
 
     value: float
     unit: str = ""
@@ -75,7 +75,7 @@ class Number:
     infinite: str = "no limit"  #: the word for inf
     undefined: str = "not defined"  #: the word for NaN
     sign: str = ""  #: "≥", "≤" or "<" before it
-    exact: bool = False  #: a number somebody chose: as short as it is, "45" and not "45.0"
+    exact: bool = False  #: a chosen number, written in its shortest form: "45", not "45.0"
 
     def __str__(self) -> str:
         said = written(self.value, self.digits, self.infinite, self.undefined, self.exact)
@@ -84,11 +84,11 @@ class Number:
 
 
 def written(value: float, digits: int = 3, infinite: str = "no limit", undefined: str = "not defined", exact: bool = False) -> str:
-    """A number as a reader wants it: ``digits`` significant ones (``exact``: as many as it has, up to 6), words for inf and NaN."""
+    """A number as text with ``digits`` significant digits (``exact``: its shortest form, up to 6 digits); words for inf and NaN."""
     if math.isnan(value):
         return undefined
     if math.isinf(value):
-        return infinite if value > 0 else "minus " + infinite
+        return infinite if value > 0 else "minus infinity"
     if value == 0:
         return "0"
     if exact:
@@ -106,17 +106,17 @@ def written(value: float, digits: int = 3, infinite: str = "no limit", undefined
 
 
 def found_of(line: Line) -> Number:
-    """What was found."""
+    """The value found."""
     return Number(line.found, line.unit, infinite=line.infinite, undefined=line.undefined)
 
 
 def limit_of(line: Line) -> Number:
-    """What was asked."""
+    """The required limit."""
     return Number(line.asked, line.unit, sign=line.sense, exact=True)
 
 
 def distance_of(line: Line) -> Number:
-    """How far inside the limit."""
+    """The distance to the limit, positive if it is met."""
     return Number(line.distance, line.unit, infinite=line.infinite, undefined=line.undefined)
 
 
@@ -141,14 +141,14 @@ class Bullets:
 
 @dataclass(frozen=True)
 class Code:
-    """Lines to copy: a replay, a command."""
+    """Code to copy: a replay or a command."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Callout:
-    """A framed remark with a verdict's colour, word and sign."""
+    """A framed remark with the colour, word and sign of a status."""
 
     status: Status
     title: str
@@ -157,7 +157,7 @@ class Callout:
 
 @dataclass(frozen=True)
 class Equation:
-    """A displayed equation: Typst mathematics, the chapter's number, and how it is read aloud."""
+    """A displayed equation: Typst mathematics, the chapter's number, and the text that screen readers speak."""
 
     source: str
     alt: str
@@ -169,7 +169,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its head, its unit, and whether its cells are numbers (set right)."""
+    """A column: its head, its unit, and whether its cells are numbers (right-aligned)."""
 
     head: Text
     unit: str = ""
@@ -187,12 +187,12 @@ class Table:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row) != len(self.columns):
-                raise BadArgument("rows", f"a row of {len(row)} cells", f"{len(self.columns)} cells, one a column")
+                raise BadArgument("rows", f"a row of {len(row)} cells", f"{len(self.columns)} cells, one per column")
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A drawing, by recipe or drawn already.
+    """A drawing, finished or as a recipe.
 
     A recipe is a picklable callable without arguments that returns Axes or a matplotlib Figure: ``functools.partial(plots.poles, values)``.
     """
@@ -208,14 +208,14 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """Figures side by side, in proportion to their own widths, so that their letters are of one size."""
+    """Figures side by side, in proportion to their own widths, so that their text has the same size."""
 
     figures: tuple[Figure, ...]
 
 
 @dataclass(frozen=True)
 class Fact:
-    """One key number: its name, its value, and what to make of it."""
+    """One key metric: its name, its value and a note."""
 
     name: Text
     value: Number | str
@@ -224,7 +224,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class KeyFacts:
-    """The few numbers that one would write down."""
+    """The key metrics."""
 
     facts: tuple[Fact, ...]
 
@@ -240,7 +240,7 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Compare:
-    """Two forms side by side (printed and standard), and what the difference costs, in a sentence."""
+    """Two forms side by side (printed and standard), and one sentence on the effect of the difference."""
 
     left: Side
     right: Side
@@ -249,7 +249,7 @@ class Compare:
 
 @dataclass(frozen=True)
 class MatrixCell:
-    """A verdict in the matrix, leading to the section that says why."""
+    """A verdict in the matrix, with a link to the section that has the evidence."""
 
     status: Status
     text: str
@@ -267,7 +267,7 @@ class Matrix:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One figure along the path: its name, unit, values (m,), and the limit asked for, if any."""
+    """One metric along the path: its name, unit, values (m,), and the required limit, if any."""
 
     name: str
     unit: str
@@ -277,9 +277,9 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class Scrubber:
-    """Poles and margins moving along the path: ``times`` (m,) [s], ``poles`` (m, nx) complex, traces of (m,).
+    """Poles and margins at a selectable time of the path: ``times`` (m,) [s], ``poles`` (m, nx) complex, traces of (m,).
 
-    Without scripts it stands still at the worst time.
+    Without scripts it shows the worst time.
     """
 
     times: Sequence[float]
@@ -298,7 +298,7 @@ Block = Paragraph | Bullets | Code | Callout | Equation | Table | Figure | Row |
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """One answer: its finding in a sentence made from numbers, then the evidence."""
+    """One result: a finding made from the numbers, then the evidence."""
 
     title: str
     finding: Text = ""
@@ -309,8 +309,8 @@ class Section:
     sections: tuple[Section, ...] = ()
     loop: str = ""  #: the loop it is about: a row of the matrix
     key: str = ""  #: for links; default: made from the title
-    verdict: Status | None = None  #: for a section whose status is not a matter of checks
-    shown: str = ""  #: why a loop that is not for use stands here ("open loop"); its status is told, but the document's verdict leaves it out
+    verdict: Status | None = None  #: a status that does not come from checks
+    shown: str = ""  #: why a loop is shown for demonstration only ("open loop"); its status is shown, but does not count in the document's verdict
 
     @property
     def status(self) -> Status:
@@ -320,21 +320,21 @@ class Section:
 
     @property
     def judged(self) -> Status:
-        """The status that counts for the document: sections that only show what fails are left out."""
+        """The status that counts for the document: demonstrations are left out."""
         if self.shown:
             return Status.INFO
         own = [c.status for c in self.checks] + [s.judged for s in self.sections]
         return worst([*own, self.verdict] if self.verdict is not None else own)
 
     def every_check(self) -> tuple[tuple[Section, Line], ...]:
-        """Its checks and those of the sections within, each with the section it stands in."""
+        """Its checks and those of the sections within, each with its section."""
         inner = tuple(pair for s in self.sections for pair in s.every_check())
         return tuple((self, c) for c in self.checks) + inner
 
 
 @dataclass(frozen=True)
 class Scope:
-    """What a verdict rests on, and what nobody looked at."""
+    """The basis of a verdict, and what is not checked."""
 
     model: tuple[Text, ...]
     assumptions: tuple[Text, ...]
@@ -344,7 +344,7 @@ class Scope:
 
 @dataclass(frozen=True)
 class Symbol:
-    """A letter, its meaning and unit."""
+    """A symbol, its meaning and unit."""
 
     letter: Math
     meaning: str
@@ -353,7 +353,7 @@ class Symbol:
 
 @dataclass(frozen=True)
 class Provenance:
-    """How to make the same pages again: versions, platform, input with its SHA-256, command, seed, tolerances. A date only if it was given."""
+    """How to reproduce the report: versions, platform, inputs with their SHA-256, command, seed, tolerances. A date only if given."""
 
     items: tuple[tuple[str, str], ...]
     command: str = ""
@@ -362,7 +362,7 @@ class Provenance:
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A report. ``name`` becomes the files' name."""
+    """A report. ``name`` is the name of its files."""
 
     title: str
     subtitle: str

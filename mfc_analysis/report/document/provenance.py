@@ -1,4 +1,4 @@
-"""What made a report: versions, platform, inputs with their SHA-256, the command, settings. No clock is read."""
+"""The provenance of a report: versions, platform, inputs with their SHA-256, command, settings. The clock is not read."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ PACKAGES = ("mfc-analysis", "control", "numpy", "scipy", "pin", "slycot", "matpl
 def provenance(
     command: str = "", inputs: Mapping[str, bytes] | None = None, settings: Mapping[str, object] | None = None, date: str = ""
 ) -> Provenance:
-    """Provenance of a report made here.
+    """The provenance of a report made on this machine.
 
     Args:
-        command: the line that makes the report again.
-        inputs: content of each file that went in, by its name (never by its path).
+        command: the command that reproduces the report.
+        inputs: content of each input file, by its name (never by its path).
         settings: seeds, tolerances and the like.
-        date: as given by the user; left out if empty.
+        date: given by the user; left out if empty.
     """
     items = [("date", date)] if date else []
     items += [(name, found) for name in PACKAGES if (found := _version(name))]

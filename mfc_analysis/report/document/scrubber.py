@@ -1,6 +1,6 @@
-"""The trajectory scrubber: poles and margins at one time of the path, moved by about 1 kB of plain JavaScript; else at the worst time.
+"""The trajectory scrubber: poles and margins at a selectable time, with about 1 kB of plain JavaScript; without scripts, at the worst time.
 
-Two drawings in SVG of our own (they stand side by side, or above one another on a phone), and the positions of what moves, as data.
+Two SVG drawings, side by side (stacked on a phone), and the positions of the moving marks as data.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from mfc_analysis.report.document.document import Number, Scrubber, Trace, writt
 Element = ElementTree.Element
 
 _W1, _W2, _H = 330.0, 350.0, 290.0  # [pt] widths of the two drawings and their height
-_MOST = 121  # times kept for the page
+_MOST = 121  # most times kept for the page
 _INK, _GRID, _GREY, _SHADE, _LINE, _DOT, _LIMIT = "#000000", "#d5d9de", "#6b7280", "#fbeee4", "#0072b2", "#c44e00", "#3d444d"
 
 
 @dataclass(frozen=True)
 class Moving:
-    """A scrubber drawn: two SVG texts at the worst time, and what the script needs."""
+    """A drawn scrubber: two SVG texts at the worst time, and the data for the script."""
 
     poles: str
     traces: str
@@ -64,7 +64,7 @@ def _rounded(values: Array) -> list[Any]:
 
 
 def _followed(poles: Complex) -> Complex:
-    """Each column one pole, followed from time to time by nearest neighbours."""
+    """Each column is one pole, matched from time to time by nearest neighbours."""
     from scipy.optimize import linear_sum_assignment
 
     out = poles.copy()
@@ -115,7 +115,7 @@ def _plane(poles: Complex, now: int) -> tuple[str, Array, Array]:
             svg, "path", {"class": "pole", "d": "M-3.5-3.5 3.5 3.5M-3.5 3.5 3.5-3.5", "transform": f"translate({x:.1f} {y:.1f})"}
         )
         mark.set("style", f"fill: none; stroke: {_LINE}; stroke-width: 1.6")
-    _text(svg, left, 11, "Poles (log-symmetric)", "start", bold=True)
+    _text(svg, left, 11, "Poles (symmetric log scale)", "start", bold=True)
     _text(svg, (left + right) / 2, bottom + 27, "Re s [1/s]", "middle")
     _text(svg, 10, (top + bottom) / 2, "Im s [1/s]", "middle", turned=True)
     return _said(svg), px, py

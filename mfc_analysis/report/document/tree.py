@@ -1,4 +1,4 @@
-"""A document flattened into plain dictionaries: numbered, formatted, keyed. The one thing that both the HTML template and the Typst template read.
+"""A document flattened into plain dictionaries: numbered, formatted, keyed. Both the HTML and the Typst template read it.
 
 Every text is a list of spans ``{"k": kind, "t": text}``: kind "text", "mono", "strong", "link" (with "to"), "math" (with "id").
 """
@@ -18,7 +18,7 @@ SIGNS = {"PASS": "✓", "WATCH": "!", "FAIL": "✗", "INFO": "i"}
 
 @dataclass
 class Tree:
-    """What renderers need: ``root`` (plain data), the equations by id, and the figures by id."""
+    """The input of the renderers: ``root`` (plain data), the equations by id, and the figures by id."""
 
     root: dict[str, Any]
     equations: dict[str, tuple[str, bool]] = field(default_factory=dict)  #: id -> (Typst source, display?)
@@ -79,7 +79,7 @@ class _Builder:
         )
         rows = tuple((s.Strong(name), _joined(items)) for name, items in parts if items)
         table = s.Table(
-            "What the verdict rests on, and what nobody looked at.", (s.Column("Part", numeric=False), s.Column("Said", numeric=False)), rows
+            "Basis of the verdict, and what is not checked.", (s.Column("Item", numeric=False), s.Column("Description", numeric=False)), rows
         )
         return (s.Section("Scope", body=(table,), key="scope"),)
 
@@ -89,9 +89,9 @@ class _Builder:
             given = self.document.provenance
             if given is not None:
                 rows = tuple((name, s.Mono(value)) for name, value in given.items)
-                rows += (("To make them again", s.Mono(given.command)),) if given.command else ()
-                heads = (s.Column("What", numeric=False), s.Column("Which", numeric=False))
-                body: list[s.Block] = [s.Table("What made these pages.", heads, rows)]
+                rows += (("To reproduce", s.Mono(given.command)),) if given.command else ()
+                heads = (s.Column("Item", numeric=False), s.Column("Value", numeric=False))
+                body: list[s.Block] = [s.Table("How this report was made.", heads, rows)]
                 if given.note:
                     body.append(s.Paragraph(given.note))
                 out.append(s.Section("Provenance", body=tuple(body), key="provenance"))
@@ -99,7 +99,7 @@ class _Builder:
             if self.document.symbols:
                 columns = (s.Column("Symbol", numeric=False), s.Column("Meaning", numeric=False), s.Column("Unit", numeric=False))
                 letters = tuple((x.letter, x.meaning, x.unit) for x in self.document.symbols)
-                out.append(s.Section("Symbols", body=(s.Table("Letters used on these pages.", columns, letters),), key="symbols"))
+                out.append(s.Section("Symbols", body=(s.Table("Symbols used in this report.", columns, letters),), key="symbols"))
             self._after = tuple(out)
         return self._after
 
@@ -117,9 +117,9 @@ class _Builder:
         check = found.check
         facts = s.KeyFacts(
             (
-                s.Fact("What", check.label, found.section.loop or found.section.title),
-                s.Fact("Found", s.found_of(check)),
-                s.Fact("Asked", s.limit_of(check)),
+                s.Fact("Check", check.label, found.section.loop or found.section.title),
+                s.Fact("Value", s.found_of(check)),
+                s.Fact("Required", s.limit_of(check)),
                 s.Fact("Where", check.place or "everywhere"),
             )
         )
@@ -264,7 +264,7 @@ class _Builder:
 
 
 def every_block(sections: Iterable[dict[str, Any]]) -> Iterable[dict[str, Any]]:
-    """All blocks of a tree's sections, those within comparisons and rows included, in the order of the pages."""
+    """All blocks of a tree's sections, those within comparisons and rows included, in page order."""
     for section in sections:
         yield from _blocks(section["blocks"])
         yield from every_block(section["sections"])
@@ -294,7 +294,7 @@ def complex_written(z: complex) -> str:
 
 
 def slug(text: str) -> str:
-    """A key made of a-z, 0-9 and hyphens: safe as an anchor and as a file's name."""
+    """A key made of a-z, 0-9 and hyphens: safe as an anchor and as a file name."""
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
     words = "".join(c if c.isalnum() else " " for c in plain).split()
     return "-".join(words)[:60].strip("-") or "section"

@@ -7,29 +7,29 @@ from dataclasses import dataclass, replace
 from mfc_analysis.report.document.document import Column, Document, Matrix, MatrixCell, Section, Table, distance_of, found_of, limit_of
 from mfc_analysis.requirements.line import Line, Status, worst
 
-RARE, MOST_COLUMNS = 0.2, 8  #: part of the loops that a check of a wide matrix must have for a column of its own
+RARE, MOST_COLUMNS = 0.2, 8  #: in a wide matrix, a check needs this fraction of the loops for its own column
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """The banner: a word, one sentence, and the worst loop with its place."""
+    """The banner: a status, one sentence, and the worst loop with its channel and time."""
 
     status: Status
     sentence: str
     detail: str
     check: Line | None  #: the worst one
-    section: Section | None  #: where it stands
+    section: Section | None  #: the section of that check
 
 
 def every_check(document: Document) -> tuple[tuple[Section, Line], ...]:
-    """All checks of a document, each with its section, in the order of the pages."""
+    """All checks of a document, each with its section, in page order."""
     return tuple(pair for section in (*document.sections, *document.appendices) for pair in section.every_check())
 
 
 def verdict(document: Document) -> Verdict:
-    """The banner of a document. A section's own verdict counts as well as its checks; nothing asked: INFO.
+    """The banner of a document. A section's own verdict counts as well as its checks; without requirements: INFO.
 
-    Sections that only show what fails (``Section.shown``) don't count; the detail says how many there are and what came of them.
+    Demonstrations (``Section.shown``) do not count; the detail says how many there are and how many fail.
     """
     sections = (*document.sections, *document.appendices)
     status = worst([s.judged for s in sections])
@@ -37,50 +37,48 @@ def verdict(document: Document) -> Verdict:
     checks = [(s, c) for s, c in every if not s.shown]
     beside = _beside([(s, c) for s, c in every if s.shown])
     if not checks:
-        return Verdict(
-            status, "Nothing was asked of these loops", ("No requirement was given, so there is nothing to pass or fail." + beside), None, None
-        )
+        return Verdict(status, "No requirements were given", ("Without requirements there is nothing to pass or fail." + beside), None, None)
     section, check = max(checks, key=lambda pair: pair[1].severity)
     missed = [c for _, c in checks if c.status is Status.FAIL]
     watched = [c for _, c in checks if c.status is Status.WATCH]
     loops, bad = ({s.loop for s, c in pairs if s.loop} for pairs in (checks, [(s, c) for s, c in checks if c.status is Status.FAIL]))
-    spread = f" Limits are missed on {len(bad)} of {len(loops)} loops." if bad and len(loops) > 1 else ""
+    spread = f" Requirements are not met on {len(bad)} of {len(loops)} loops." if bad and len(loops) > 1 else ""
     if missed:
-        sentence = f"{_count(len(missed), len(checks))} missed"
+        sentence = f"{_count(len(missed), len(checks))} not met"
     elif watched:
-        sentence = f"{_count(len(checks) - len(watched), len(checks))} met, {len(watched)} {'has' if len(watched) == 1 else 'have'} a reservation"
+        sentence = f"{_count(len(checks) - len(watched), len(checks))} met, {len(watched)} {'has' if len(watched) == 1 else 'have'} a warning"
     elif status is Status.PASS:
         sentence = f"All {len(checks)} checks are met"
     else:
-        sentence = f"All {len(checks)} checks are met, but a section has a reservation"
+        sentence = f"All {len(checks)} checks are met, but a section has a warning"
     lead = "Worst" if missed or watched else "Tightest"
     return Verdict(status, sentence, f"{lead}: {said(section, check)}.{spread}{beside}", check, section)
 
 
 def _beside(shown: list[tuple[Section, Line]]) -> str:
-    """A sentence about the loops that stand in the document to show how they fail."""
+    """A sentence about the loops that are shown for demonstration."""
     loops = dict.fromkeys(s.loop or s.title for s, _ in shown)
     if not loops:
         return ""
     bad = dict.fromkeys(s.loop or s.title for s, c in shown if c.status is Status.FAIL)
     one = len(loops) == 1
-    lead = f" {len(loops)} {'loop is' if one else 'loops are'} shown beside them to make a point and not counted here"
-    return f"{lead}: {len(bad)} of {len(loops)} {'misses' if len(bad) == 1 else 'miss'} a limit."
+    lead = f" {len(loops)} {'loop is' if one else 'loops are'} shown for demonstration and not counted"
+    return f"{lead}: {len(bad)} of {len(loops)} {'does' if len(bad) == 1 else 'do'} not meet a requirement."
 
 
 def said(section: Section, check: Line) -> str:
-    """One check in words: what, found, asked, where and when."""
+    """One check as text: name, value, requirement, where and when."""
     loop = section.loop or section.title
     place = f" ({check.place})" if check.place else ""
     asked = {"≥": "at least", "≤": "at most", "<": "below"}.get(check.sense, check.sense)
-    name = "rightmost root" if check.name == "stable" else check.label
-    return f"{name} of {loop}: {found_of(check)} against {asked} {str(limit_of(check))[len(check.sense) :].strip()}{place}"
+    name = "rightmost pole" if check.name == "stable" else check.label
+    return f"{name} of {loop}: {found_of(check)}, required: {asked} {str(limit_of(check))[len(check.sense) :].strip()}{place}"
 
 
 def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
-    """Loops x checks, a row per loop name, the worst check where several share a cell; None when no section names its loop.
+    """Loops x checks, one row per loop name, the worst check if several share a cell; None if no section names its loop.
 
-    Checks that only few loops have share the last column. A unit that all cells of a column have stands in its head.
+    Rare checks share the last column. A unit shared by all cells of a column is in its head.
     """
     cells: dict[str, dict[str, tuple[Section, Line]]] = {}
     first: dict[str, Section] = {}
@@ -110,15 +108,22 @@ def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
         found = (*(_cell(row.get(name), keys, unit=shared.get(name)) for name in names), *last)
         rows.append((f"{loop} (shown)" if loop in shown else loop, keys[id(first[loop])], found))
     heads = tuple(f"{name} [{shared[name]}]" if shared.get(name) else name for name in names) + (("other checks",) if rare else ())
-    return Matrix("Every loop against every check; each cell leads to its evidence.", heads, tuple(rows))
+    return Matrix("All loops and all checks. Each cell links to its evidence.", heads, tuple(rows))
 
 
 def requirements(section: Section) -> Table:
     """The checks of one section, failures first: check, value, limit, distance, where, result."""
     rows = sorted(section.checks, key=lambda c: c.severity, reverse=True)
-    columns = (Column("Check", numeric=False), Column("Found"), Column("Asked"), Column("Result"), Column("Distance"), Column("Where", numeric=False))
+    columns = (
+        Column("Check", numeric=False),
+        Column("Value"),
+        Column("Required"),
+        Column("Result"),
+        Column("Distance"),
+        Column("Where", numeric=False),
+    )
     return Table(
-        "What was asked of this loop, the worst first.",
+        "Requirements of this loop, the worst first.",
         columns,
         tuple((c.label, found_of(c), limit_of(c), c.status, distance_of(c), c.place) for c in rows),
     )

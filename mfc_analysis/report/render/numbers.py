@@ -54,7 +54,7 @@ def plain(value: Any, infinite: str = "infinite", undefined: str = "not defined"
     if isinstance(value, float):
         if math.isnan(value):
             return undefined
-        return value if math.isfinite(value) else infinite if value > 0 else "minus " + infinite
+        return value if math.isfinite(value) else infinite if value > 0 else "minus infinity"
     if isinstance(value, complex):
         return {"re": plain(value.real, infinite, undefined), "im": plain(value.imag, infinite, undefined)}
     if isinstance(value, Mapping):

@@ -24,7 +24,7 @@ INF, NAN = float("inf"), float("nan")
         (1.2345e-5, "1.23e-5"),
         (1.2345e9, "1.23e9"),
         (INF, "no limit"),
-        (-INF, "minus no limit"),
+        (-INF, "minus infinity"),
         (NAN, "not defined"),
         (99999.4, "99999"),
     ],

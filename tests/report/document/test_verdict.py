@@ -19,7 +19,7 @@ def test_a_gain_that_makes_a_loop_unstable_changes_banner_matrix_section_and_jso
     good, bad = (rendered(samples.chapter(phase), ("html", "json")) for phase in (62.0, NAN))
     page, data = bad["html"].decode(), json.loads(bad["json"])
     assert "PASS: All 6 checks are met" in good["html"].decode()
-    assert "FAIL: 2 of 6 checks are missed" in page
+    assert "FAIL: 2 of 6 checks are not met" in page
     assert (data["verdict"]["status"], json.loads(good["json"])["verdict"]["status"]) == ("FAIL", "PASS")
     section = next(x for x in data["sections"] if x["loop"] == "single joint")
     assert section["status"] == "FAIL"
@@ -31,24 +31,24 @@ def test_a_gain_that_makes_a_loop_unstable_changes_banner_matrix_section_and_jso
 def test_the_worst_check_is_the_one_farthest_beyond_its_limit():
     found = verdict(samples.chapter(30.0))
     assert found.check.found == 30.0 and found.section.loop == "single joint"
-    assert found.sentence == "2 of 6 checks are missed"
+    assert found.sentence == "2 of 6 checks are not met"
 
 
 def test_without_a_miss_the_tightest_check_is_named():
     found = verdict(samples.chapter(62.0))
     assert (found.status, found.section.loop) == (Status.PASS, "planar 2R")
-    assert found.detail.startswith("Tightest: phase margin of planar 2R: 47.0° against at least 45°")
+    assert found.detail.startswith("Tightest: phase margin of planar 2R: 47.0°, required: at least 45°")
 
 
 def test_nothing_asked_is_no_pass():
     found = verdict(Document("t", "s", (Section("one"),)))
-    assert found.status is Status.INFO and "Nothing was asked" in found.sentence
+    assert found.status is Status.INFO and "No requirements were given" in found.sentence
 
 
 def test_a_section_with_a_verdict_of_its_own_keeps_the_banner_from_passing():
     checks = (Line("x", 1.0, 2.0, "", 1.0, Status.PASS),)
     found = verdict(Document("t", "s", (Section("one", checks=checks), Section("two", verdict=Status.WATCH))))
-    assert found.status is Status.WATCH and "reservation" in found.sentence
+    assert found.status is Status.WATCH and "warning" in found.sentence
 
 
 def test_every_cell_of_the_matrix_leads_to_the_section_of_its_check():
@@ -75,7 +75,7 @@ def test_loops_that_are_only_shown_keep_their_status_and_leave_the_banner_alone(
     document = Document("t", "s", (Section("used", checks=(good,), loop="used"), Section("law", sections=(shown,))))
     found = verdict(document)
     assert shown.status is Status.FAIL and found.status is Status.PASS and found.check is good
-    assert "1 loop is shown beside them" in found.detail and "1 of 1 misses a limit" in found.detail
+    assert "1 loop is shown for demonstration" in found.detail and "1 of 1 does not meet a requirement" in found.detail
     page = json.loads(rendered(document, ("json",))["json"])
     assert page["sections"][1]["sections"][0]["status"] == "FAIL" and page["sections"][1]["sections"][0]["shown"] == "open loop"
 
