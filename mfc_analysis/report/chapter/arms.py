@@ -1,4 +1,4 @@
-"""The arms, paths, gains and limits of the chapter's report: in one place, so that every section speaks of the same ones."""
+"""The arms, paths, gains and limits of the chapter's report: defined once, so that all sections use the same ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories.joint import JointPoint, JointReference, Quintic
 
 POINTS = 41  #: times along each path
-PAYLOAD = 2.0  #: [kg] in the UR5's hand, unknown to its controller
+PAYLOAD = 2.0  #: [kg] payload of the UR5, unknown to its controller
 LIMITS = Requirements(phase_deg=45.0, gain_increase_db=6.0, gain_reduction_db=6.0, delay=2e-3, sensitivity_peak=2.0)
 
 
@@ -31,7 +31,7 @@ class Arm:
 
     name: str
     robot: Robot
-    model: Robot  #: what the controller believes
+    model: Robot  #: the controller's model
     ref: JointReference
     speed: float  #: [rad/s] natural frequency that the torque loops are designed for
 
@@ -43,13 +43,13 @@ class Arm:
 
     @property
     def exact(self) -> bool:
-        """Whether the controller knows the plant."""
+        """Whether the controller's model is exact."""
         return self.model is self.robot
 
 
 @cache
 def arms() -> tuple[Arm, ...]:
-    """The single joint, the planar two-link, and the UR5 with 2 kg that its controller doesn't know of."""
+    """The single joint, the planar two-link, and the UR5 with an unknown payload of 2 kg."""
     joint, planar, bare = single_joint(), planar_2r(), ur5()
     start = np.array([0.0, -1.2, 1.4, -0.7, 1.57, 0.0])
     move = np.array([0.8, 0.5, -0.6, 0.4, -0.3, 0.5])
@@ -98,11 +98,11 @@ class Designs:
         return ClosedLoop(arm.robot, self.law(equation, arm), arm.ref, controller_model=arm.model)
 
     def view(self, equation: str, arm: Arm) -> View:
-        """The loop as a report sees it."""
+        """The loop with the results that a report shows."""
         return View(f"{NAMES[equation]}, {arm.name}", self.loop(equation, arm), arm.times, LIMITS)
 
 
-#: equation -> how its loops are called
+#: equation -> name of its loops
 NAMES = {
     "9.1": "9.1 velocity feedforward",
     "9.2": "9.2 velocity P",
@@ -146,7 +146,7 @@ def decibels(factor: ArrayLike) -> Any:
 
 
 def per_joint(values: ArrayLike) -> str:
-    """Range of a per-joint figure in words: "3.2" or "3.2 to 5.4"."""
+    """Range of a per-joint value as text: "3.2" or "3.2 to 5.4"."""
     from mfc_analysis.report.document.document import written
 
     x = np.ravel(np.asarray(values, float))

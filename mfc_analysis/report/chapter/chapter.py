@@ -1,4 +1,4 @@
-"""The chapter's report: every equation's loops on the embedded arms, judged by one set of limits."""
+"""The chapter's report: the loops of all equations on the embedded arms, checked against one set of requirements."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mfc_analysis.report.document.document import Column, Document, Number, Scop
 from mfc_analysis.report.render.write import FORMATS, Progress, render
 
 ROOM = "mfc_analysis.report.chapter"
-#: the modules that tell the chapter, in its order; each offers ``sections() -> tuple[Section, ...]``
+#: the modules of the chapter, in order; each has ``sections() -> tuple[Section, ...]``
 PARTS = ("velocity", "joint_torque", "task", "constraints", "force", "hybrid", "stiffness", "hardware", "misprints", "errata")
 TOOL, FORCE = ("task",), ("constraints", "force", "hybrid", "stiffness")
 
@@ -43,7 +43,7 @@ def chapter_document(progress: Progress | None = None, parts: Sequence[Part] | N
     overview = validity(sections)
     return Document(
         "Motion and force control of robot arms",
-        f"Every loop of equations 9.1 to {last}, on embedded arms: stable or not, how far from trouble, and how far the linear answer holds",
+        f"Stability, margins and validity of the linear model for all loops of equations 9.1 to {last} on the embedded arms",
         (*sections, *(() if overview is None else (overview,))),
         "chapter",
         _scope(),
@@ -97,14 +97,14 @@ def _in_two_processes(parts: Sequence[Part]) -> Iterable[Iterable[Section]]:
 
 
 def every_section(sections: Iterable[Section]) -> Iterable[Section]:
-    """The sections and those within, in the order of the pages."""
+    """The sections and those within, in page order."""
     for section in sections:
         yield section
         yield from every_section(section.sections)
 
 
 def validity(sections: Iterable[Section]) -> Section | None:
-    """Linear against nonlinear: the error number and the reach of every loop."""
+    """Linear model compared with nonlinear simulation: model error and range of validity of every loop."""
     rows: list[tuple[Any, ...]] = []
     nearest: tuple[float, str] | None = None
     for section in every_section(sections):
@@ -116,7 +116,7 @@ def validity(sections: Iterable[Section]) -> Section | None:
             (
                 section.loop,
                 Number(100 * float(found["nrmse"]), undefined="diverged"),
-                Number(radius, infinite="any size tried"),
+                Number(radius, infinite="all tested sizes"),
                 Number(float(found["taylor_order"]), infinite="exact", undefined="diverged"),
             )
         )
@@ -124,19 +124,19 @@ def validity(sections: Iterable[Section]) -> Section | None:
             nearest = (radius, section.loop)
     if not rows or nearest is None:
         return None
-    columns = (Column("Loop", numeric=False), Column("Misfit at 0.01", "%"), Column("Holds up to", "rad, m"), Column("Taylor order"))
+    columns = (Column("Loop", numeric=False), Column("Model error at 0.01", "%"), Column("Valid up to", "rad, m"), Column("Taylor order"))
     table = Table(
-        "The linear model against the nonlinear loop, from a start 0.01 rad (m) off the path; it holds as long as the misfit is below 5 %.",
+        "Linear model compared with nonlinear simulation, initial error 0.01 rad (m). The model is valid while its error is below 5 %.",
         columns,
         tuple(rows),
     )
-    reach = str(Number(nearest[0], "rad", infinite="any size tried"))
-    finding = f"Of {len(rows)} loops the linear model of {nearest[1]} stops holding first: at {reach}."
-    return Section("Linear against nonlinear", finding, (table,), key="linear-against-nonlinear")
+    reach = str(Number(nearest[0], "rad", infinite="all tested sizes"))
+    finding = f"Of {len(rows)} loops, the linear model of {nearest[1]} has the smallest range of validity: {reach}."
+    return Section("Linear model and nonlinear simulation", finding, (table,), key="linear-against-nonlinear")
 
 
 def all_poles(sections: Iterable[Section]) -> Section | None:
-    """Appendix: the poles of every loop at its worst place, slowest first."""
+    """Appendix: the poles of every loop in its worst case, slowest first."""
     rows: list[tuple[Any, ...]] = []
     for section in every_section(sections):
         poles = section.numbers.get("poles")
@@ -149,13 +149,13 @@ def all_poles(sections: Iterable[Section]) -> Section | None:
     columns = (Column("Loop", numeric=False), Column("t", "s"), Column("Poles [1/s]", numeric=False))
     return Section(
         "All poles",
-        body=(Table("Closed-loop poles of every loop at its worst place, slowest first; × counts those that are alike.", columns, tuple(rows)),),
+        body=(Table("Closed-loop poles of every loop in its worst case, slowest first; ×n marks n equal poles.", columns, tuple(rows)),),
         key="all-poles",
     )
 
 
 def poles_words(poles: Iterable[complex]) -> str:
-    """Poles in a line, pairs with ±, those alike to three figures counted."""
+    """Poles on one line, pairs with ±, poles equal to three digits counted."""
     count: dict[str, int] = {}
     for value in poles:
         z = complex(value)
@@ -171,25 +171,25 @@ def _scope() -> Scope:
     last = arms()[-1]
     return Scope(
         model=(
-            "rigid arms with Pinocchio's dynamics: the joint of eq. 9.6, Siciliano's planar two-link with its motors, the UR5",
-            f"the UR5 carries {PAYLOAD:g} kg that its controller doesn't know of; the other controllers know their plant",
-            f"limits asked of every loop: {LIMITS}",
+            "rigid arms with Pinocchio's dynamics: the joint of eq. 9.6, Siciliano's planar two-link arm with its motors, the UR5",
+            f"the UR5 carries a payload of {PAYLOAD:g} kg that its controller does not model; the other controllers have an exact model",
+            f"requirements of every loop: {LIMITS}",
         ),
         assumptions=(
-            "linear figures hold for small deviations from the operating points; the section on linear against nonlinear says how small",
+            "linear results hold for small deviations from the operating points; the section on nonlinear simulation says how small",
             "ideal actuators and sensors, unless a section says otherwise",
-            "loops shown only to make a point (open loops) are told, and not counted in the verdict",
+            "loops shown for demonstration (open loops) are not counted in the verdict",
         ),
         operating_points=(
             f"{POINTS} times along a quintic path of {last.ref.duration:g} s for each arm, integral states trimmed",
             "margins at the plant's input (torque, or velocity for 9.1 to 9.5), one channel at a time with the others closed",
         ),
         not_checked=(
-            "stability of the moving loops: all figures are frozen in time",
+            "stability during motion: all metrics are frozen in time",
             (
-                "actuator lag, dead time, sampling, joint flexibility and torque limits in the joint-space loops (their delay margins say how much"
-                " they bear)"
+                "actuator lag, dead time, sampling, joint flexibility and torque limits in the joint-space loops (their delay margins give the"
+                " allowed delay)"
             ),
-            "other payloads, poses and speeds than those of the paths; sensor noise and quantisation",
+            "payloads, poses and speeds other than those of the paths; sensor noise and quantisation",
         ),
     )

@@ -33,14 +33,14 @@ def constraint_section(title: str, given: ConstraintSet, key: str) -> Section:
     A = given.rows
     finding = (
         f"{given.rank_free} directions are free and {given.rank_constraint} constrained, {given.rank_free + given.rank_constraint} in all; the "
-        f"largest work of a free twist on a constraint wrench is {written(given.reciprocity, 2)}."
+        f"largest product of a free twist and a constraint wrench is {written(given.reciprocity, 2)}."
     )
     P = projection(A, arm().task_inertia(POSE))
     residues = {"P P − P": float(np.abs(P @ P - P).max()), "P A^T": float(np.abs(P @ A.T).max()), "rank of P": float(np.round(np.trace(P), 9))}
     body = (
         Equation('"V" dot "F" = v^top f + omega^top m = 0', "reciprocity", "9.17"),
         Table(
-            "The environment fixes one of motion and force along each axis of the compliance frame, the controller chooses the other.",
+            "Along each axis of the compliance frame, the environment sets either motion or force, and the controller sets the other.",
             (Column("Axis", numeric=False), Column("natural", numeric=False), Column("artificial", numeric=False)),
             rows,
         ),
@@ -83,16 +83,16 @@ def invariance_section() -> Section:
     same = abs(float((Ad @ V) @ (adjoint(inverse(frame)).T @ F) - V @ F))
     other = abs(float((Ad @ V) @ (Ad @ W) - V @ W))
     finding = (
-        f"Seen from a tool 0.37 m away and turned, the peg's twists and wrenches stay reciprocal ({written(moved.reciprocity, 2)}); V · F changes by "
-        f"{written(same, 2)} under the change of frame, the product of two twists by {written(other)}."
+        f"In a tool frame shifted by 0.37 m and rotated, the peg's twists and wrenches stay reciprocal ({written(moved.reciprocity, 2)}). The change "
+        f"of frame changes V · F by {written(same, 2)} and the product of two twists by {written(other)}."
     )
     body = (
         Paragraph(
-            "Twists and wrenches transform differently, so their product means work in every frame; a product of two twists, or of two wrenches, "
-            "depends on the frame and on the unit of length. The page puts V in SO(3) and F in its dual; they live in se(3) and se*(3)."
+            "Twists and wrenches transform differently, so their product is the power in every frame. A product of two twists, or of two wrenches, "
+            "depends on the frame and on the unit of length. The page places V in SO(3) and F in its dual; they belong to se(3) and se*(3)."
         ),
         Table(
-            "The same peg in a hole, A in a tool frame that is not the compliance frame.",
+            "The peg in a hole: A in a tool frame that differs from the compliance frame.",
             (Column("Row", numeric=False), *(Column(name) for name in MOTION)),
             tuple((f"{i + 1}", *(float(np.round(x, 12)) for x in row)) for i, row in enumerate(moved.rows)),
         ),
@@ -102,4 +102,4 @@ def invariance_section() -> Section:
         at_most("change of V · F with the frame", 1e-12, same),
     )
     numbers = {"change_of_work": same, "change_of_twist_product": other, "reciprocity": moved.reciprocity}
-    return Section("Work does not depend on the frame: 9.17", finding, body, checks, numbers, SOURCES, key="reciprocity")
+    return Section("Invariance under a change of frame: 9.17", finding, body, checks, numbers, SOURCES, key="reciprocity")

@@ -1,4 +1,4 @@
-"""What coupling does to independent joints (9.8): the decentralised design beside the arm, and the coupling of its inertia."""
+"""The effect of coupling on independent joints (9.8): decentralised design and coupled arm, and the coupling of the inertia."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from mfc_analysis.report.loops.view import View
 
 
 def price(view: View) -> str:
-    """What coupling does to the slowest root and to the phase margin that changes most, in words."""
+    """The effect of coupling on the rightmost pole and on the phase margin that changes most, as text."""
     alone = view.lin.decentralised()
     designed, real = float(alone.poles().real.max()), view.evidence.slowest_root().value
-    slower = f"the slowest root goes from {written(designed)} to {written(real)} 1/s"
+    slower = f"the rightmost pole moves from {written(designed)} to {written(real)} 1/s"
     change = view.margins.phase_deg - alone.margins().phase_deg
     if not view.stable or not np.isfinite(change).any():
         return slower
     j = int(np.unravel_index(int(np.nanargmin(change)), change.shape)[1])
     low = float(np.nanmin(change))
     word = (
-        f"no phase margin falls, the least rise is {written(low)}°"
+        f"no phase margin decreases (smallest increase {written(low)}°)"
         if low > 0
-        else f"the phase margin of {view.margins.channels[j]} falls by {written(-low)}°"
+        else f"the phase margin of {view.margins.channels[j]} decreases by {written(-low)}°"
     )
     return f"{slower}, {word}"
 
 
 def coupling_words(view: View) -> str:
-    """What coupling costs, in a sentence: each joint alone beside the whole arm."""
+    """The effect of coupling in a sentence: each joint alone, and the whole arm."""
     alone = view.lin.decentralised()
     designed, real = float(alone.poles().real.max()), view.evidence.slowest_root().value
     low = float(alone.margins().phase_deg.min()) if alone.stable.all() else float("nan")
     if not view.stable:
         return (
             f"Each joint alone is {'stable' if alone.stable.all() else 'unstable'} with its rightmost pole at {written(designed)} 1/s; coupled, the"
-            f" arm is unstable, with a root at {written(real)} 1/s."
+            f" arm is unstable, with a pole at {written(real)} 1/s."
         )
     true = float(view.margins.phase_deg.min())
     cost = low - true
-    change = f"the coupling costs {written(cost)}°" if cost > 0 else f"the coupling gives {written(-cost)}°"
+    change = f"coupling reduces it by {written(cost)}°" if cost > 0 else f"coupling increases it by {written(-cost)}°"
     return (
-        f"Joint by joint the design promises a phase margin of {written(low)}°, the arm has {written(true)}°: {change}. The rightmost root is at"
+        f"The decentralised design has a phase margin of {written(low)}°, the coupled arm {written(true)}°: {change}. The rightmost pole is at"
         f" {written(real)} 1/s instead of {written(designed)} 1/s."
     )
 
@@ -62,7 +62,7 @@ def coupling_numbers(view: View) -> dict[str, object]:
 
 
 def coupling_table(view: View) -> Table:
-    """Each joint's margins by the decentralised design and in truth, worst along the path."""
+    """Each joint's smallest margins along the path, in the decentralised design and in the coupled arm."""
     alone, m = view.lin.decentralised().margins(), view.margins
     gain = relative_gain(view)
     rows: list[tuple[Cell, ...]] = []
@@ -73,8 +73,8 @@ def coupling_table(view: View) -> Table:
             (
                 name,
                 *(Number(float(x.phase_deg[:, j].min()), infinite="no crossover", undefined="unstable") for x in (alone, m)),
-                *(Number(-x, infinite="any", undefined="unstable") for x in low),
-                *(Number(float(x.delay[:, j].min()) * 1e3, infinite="any", undefined="unstable") for x in (alone, m)),
+                *(Number(-x, infinite="unlimited", undefined="unstable") for x in low),
+                *(Number(float(x.delay[:, j].min()) * 1e3, infinite="unlimited", undefined="unstable") for x in (alone, m)),
                 Number(float(gain[:, j].max())),
             )
         )
@@ -89,14 +89,14 @@ def coupling_table(view: View) -> Table:
         Column(("Relative gain ", Math("lambda_(j j)"))),
     )
     return Table(
-        "The decentralised design (each joint alone, on the diagonal of the inertia) beside the coupled arm, each joint's worst along the path.",
+        "Decentralised design (each joint alone, diagonal of the inertia) and coupled arm: smallest margins of each joint along the path.",
         heads,
         tuple(rows),
     )
 
 
 def relative_gain(view: View) -> Array:
-    """(m, n) M_jj (M^-1)_jj of the plant along the path: 1 where a joint is decoupled; how much lighter it is when the others are free."""
+    """(m, n) M_jj (M^-1)_jj of the plant along the path: 1 for a decoupled joint; the factor by which its inertia drops if the others are free."""
     q = view.loop.nominal(view.times).q
     M = view.loop.robot.mass(q)
     return np.asarray(np.diagonal(M, axis1=1, axis2=2) * np.diagonal(np.linalg.inv(M), axis1=1, axis2=2))
@@ -114,7 +114,7 @@ def coupling_figures(view: View) -> tuple[Block, ...]:
     return (
         Figure(
             partial(plots.traces, view.times, tuple(panels), names, said=("coupled", "joint alone")),
-            ("Coupling of the inertia along the path, ", Math("lambda_(j j) = M_(j j) (M^(-1))_(j j)"), f": 1 where a joint is alone; {said}."),
+            ("Coupling of the inertia along the path, ", Math("lambda_(j j) = M_(j j) (M^(-1))_(j j)"), f": 1 for a decoupled joint; {said}."),
             f"Relative gain of M(q) of {view.loop.robot.name}: {said}.",
         ),
     )

@@ -1,4 +1,4 @@
-"""What the misprints of tool space, contact and hybrid control cost (9.5, 9.14-9.17, 9.24), and the slips in the text."""
+"""The effect of the misprints in tool space, contact and hybrid control (9.5, 9.14-9.17, 9.24), and minor errors in the text."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ SOURCES = (LYNCH, "Siciliano et al., Robotics: Modelling, Planning and Control, 
 
 
 def sections() -> tuple[Section, ...]:
-    """The misprints of tool space, force and hybrid control, and the slips in the text."""
+    """The misprints in tool space, force and hybrid control, and minor errors in the text."""
     inner = (logarithm_section(), adjoint_section(), kinematics_section(), task_torque_section(), reciprocity_section(), hybrid_section())
     lost = [s.title for s in inner for b in s.body if isinstance(b, Compare) and b.left.status is Status.FAIL]
     verdict = f"{', '.join(lost)} makes a stable loop unstable" if lost else "none makes a stable loop unstable"
-    finding = f"Of {len(inner)} misprints in tool space and contact {verdict}. What each of them costs stands with it, in numbers."
-    title = "What the misprints in tool space and contact cost"
+    finding = f"Of {len(inner)} misprints in tool space and contact, {verdict}. Each section gives the effect in numbers."
+    title = "Effect of the misprints in tool space and contact"
     return (Section(title, finding, sections=inner, sources=SOURCES, key="misprints-tool"), slips_section())
 
 
 def two(left: tuple[str, Status, tuple[Any, ...]], right: tuple[str, Status, tuple[Any, ...]], cost: str) -> Compare:
-    """Printed and standard side by side."""
+    """Printed and standard form side by side."""
     return Compare(Side(*left), Side(*right), cost)
 
 
@@ -63,7 +63,7 @@ def facts(*pairs: tuple[str, Number | str]) -> KeyFacts:
 
 
 def logarithm_section() -> Section:
-    """9.5: X_d - X for the logarithm, on a large rotation."""
+    """9.5: X_d - X instead of the logarithm, for a large rotation."""
     k, start = 4.0, 2.9
     runs = {}
     t = np.linspace(0, 2.0, 101)
@@ -77,12 +77,12 @@ def logarithm_section() -> Section:
     away = float(np.abs(runs["printed"] - closed).max())
     took = {form: float(np.interp(-0.01 * start, -angle, t)) for form, angle in runs.items()}
     cost = (
-        f"From {start:g} rad the printed difference needs {written(took['printed'])} s to 1 %, the logarithm {written(took['standard'])} s: "
-        "its angular part is sin(angle), which lets go as the angle nears π. Near the reference both are the same."
+        f"From {start:g} rad, the printed difference takes {written(took['printed'])} s to 1 %, the logarithm {written(took['standard'])} s. "
+        "The angular part of the difference is sin(angle), which vanishes as the angle approaches π. Near the reference both forms agree."
     )
     figure = Figure(
         partial(plots.traces, t, (plots.Panel("angle [rad]", runs["standard"], beside=runs["printed"]),), ("UR5",), said=("standard", "as printed")),
-        "Angle between the tool and its reference after a start 2.9 rad away.",
+        "Angle between the tool and its reference, initial error 2.9 rad.",
         f"Angle over time: to 1 % in {took['standard']:.3g} s (standard) and {took['printed']:.3g} s (printed).",
     )
     poles = Number(-k, "1/s")
@@ -90,25 +90,28 @@ def logarithm_section() -> Section:
         (
             "As printed",
             Status.WATCH,
-            (Equation("X_e = X_d - X", "difference of poses", "9.5"), facts(("To 1 % of 2.9 rad", Number(took["printed"], "s")), ("Poles", poles))),
+            (
+                Equation("X_e = X_d - X", "difference of poses", "9.5"),
+                facts(("Time to 1 % of 2.9 rad", Number(took["printed"], "s")), ("Poles", poles)),
+            ),
         ),
         (
             "Standard",
             Status.PASS,
-            (Equation("X_e = log(X^(-1) X_d)", "logarithm"), facts(("To 1 % of 2.9 rad", Number(took["standard"], "s")), ("Poles", poles))),
+            (Equation("X_e = log(X^(-1) X_d)", "logarithm"), facts(("Time to 1 % of 2.9 rad", Number(took["standard"], "s")), ("Poles", poles))),
         ),
         cost,
     )
     more = Paragraph(
         (
-            "A difference of two poses is no pose. Read as the vector of ",
+            "The difference of two poses is not a pose. For the vector of ",
             Math("X^(-1) (X_d - X)"),
-            " its angle obeys ",
+            ", the angle obeys ",
             Math("tan(theta slash 2) = tan(theta_0 slash 2) e^(-k t)"),
             ".",
         )
     )
-    checks = (at_most("departure from theory", 1e-4, 100 * away / start, "%", "9.5 as printed"),)
+    checks = (at_most("deviation from theory", 1e-4, 100 * away / start, "%", "9.5 as printed"),)
     return Section(
         "9.5: the difference of two poses",
         cost,
@@ -133,72 +136,73 @@ def adjoint_section() -> Section:
     turn = float(np.abs(found["no_adjoint"][1].imag).max())
     speed = float(np.linalg.norm(path()(t).V[:, 3:], axis=1).max())
     cost = (
-        f"A pure rotation error of 0.2 rad throws the tool {written(sideways['no_adjoint'])} mm off its path where the standard form keeps it within "
-        f"{written(sideways['standard'], 2)} mm; the frozen poles turn by up to ±{written(turn)} rad/s, growth over a period is the same."
+        f"A pure rotation error of 0.2 rad moves the tool {written(sideways['no_adjoint'])} mm off its path; with the standard form it stays within "
+        f"{written(sideways['standard'], 2)} mm. The frozen poles have imaginary parts up to ±{written(turn)} rad/s; the growth over one "
+        "period is the same."
     )
     right, wrong = found["standard"][0], found["no_adjoint"][0]
     panel = plots.Panel("position error [mm]", 1e3 * right.error[:, :3], beside=1e3 * wrong.error[:, :3])
     figure = Figure(
         partial(plots.traces, t, (panel,), ("x", "y", "z"), said=("standard", "no adjoint")),
-        "Position error that grows out of a rotation error of 0.2 rad on the moving path.",
+        "Position error caused by a rotation error of 0.2 rad on the moving path.",
         f"Position error: at most {sideways['no_adjoint']:.3g} mm without the adjoint, {sideways['standard']:.2g} mm with it.",
     )
     sides = {
         form: facts(
             ("Largest position error", Number(sideways[form], "mm", 2)),
-            ("Growth over a period", Number(g, "1/s")),
+            ("Growth over one period", Number(g, "1/s")),
             ("Imaginary part", Number(tiny(float(np.abs(p.imag).max())), "rad/s", 2)),
         )
         for form, (_, p, g) in found.items()
     }
     compare = two(
-        ("Without the adjoint", Status.WATCH, (Equation('"V"_b = "V"_d + K_p X_e', "twist of the reference, as it is"), sides["no_adjoint"])),
+        ("Without the adjoint", Status.WATCH, (Equation('"V"_b = "V"_d + K_p X_e', "twist of the reference, not transformed"), sides["no_adjoint"])),
         (
             "Standard",
             Status.PASS,
-            (Equation('"V"_b = ["Ad"_(X^(-1) X_d)] "V"_d + K_p X_e', "twist of the reference, seen from the tool", "9.5"), sides["standard"]),
+            (Equation('"V"_b = ["Ad"_(X^(-1) X_d)] "V"_d + K_p X_e', "twist of the reference in the tool frame", "9.5"), sides["standard"]),
         ),
         cost,
     )
-    checks = (at_most("departure from theory", 0.1, 100 * abs(turn / speed - 1), "%", "imaginary part = angular speed"),)
+    checks = (at_most("deviation from theory", 0.1, 100 * abs(turn / speed - 1), "%", "imaginary part = angular speed"),)
     numbers = {"position_error_mm": sideways, "imaginary": turn, "angular_speed": speed, "exponent": {f: g for f, (_, _, g) in found.items()}}
-    return Section("9.5 without the adjoint: a common slip", cost, (compare, figure), checks, numbers, SOURCES, key="misprint-9.5-adjoint")
+    return Section("9.5 without the adjoint: a common error", cost, (compare, figure), checks, numbers, SOURCES, key="misprint-9.5-adjoint")
 
 
 # --- 9.14 to 9.17 ------------------------------------------------------------------------------------------------
 
 
 def kinematics_section() -> Section:
-    """9.14 and 9.15: what stands there is a typing slip, but leaving the term out is not."""
+    """9.14 and 9.15: typing errors, and the effect of leaving the term out."""
     _, q, v, _, _, dV = followed()
     drift = apply(arm().jacobian_rate(q, v), v)
     torque = apply(np.swapaxes(arm().jacobian(q), 1, 2), apply(arm().task_inertia(q), drift))
     missed, share = float(np.abs(torque).max()), float(np.abs(drift[:, 3:]).max() / np.abs(dV[:, 3:]).max())
     cost = (
-        f"Without the term that the lost sign hides, the torques along the path are wrong by up to {written(missed)} Nm, "
+        f"Without the term hidden by the missing plus sign, the torques along the path are wrong by up to {written(missed)} Nm "
         f"and the angular acceleration by {written(100 * share)} % of its largest value."
     )
     compare = two(
         (
             "As printed", Status.WATCH,
-            (Equation('dot("V")_b = dot(J)_b dot(q) J_b dot.double(q), quad "F"_b = Lambda dot("V") + dot(eta)', "a lost plus, a dot on eta", "9.15"),
-             facts(("Torque missed without the term", Number(missed, "Nm")))),
+            (Equation('dot("V")_b = dot(J)_b dot(q) J_b dot.double(q), quad "F"_b = Lambda dot("V") + dot(eta)', "missing plus sign, dot on eta", "9.15"),
+             facts(("Torque error without the term", Number(missed, "Nm")))),
         ),
         (
             "Standard", Status.PASS,
             (Equation('dot("V")_b = dot(J)_b dot(q) + J_b dot.double(q), quad "F"_b = Lambda dot("V")_b + eta', "sum of both terms"),
-             facts(("Torque missed", Number(0.0, "Nm")))),
+             facts(("Torque error", Number(0.0, "Nm")))),
         ),
         cost,
     )  # fmt: skip
-    more = Paragraph("9.14 prints the rate of q with the index b of a twist: a slip of the pen, since joints have no frame.")
+    more = Paragraph("9.14 prints the rate of q with the index b of a twist. Joints have no frame, so this index has no meaning.")
     return Section(
-        "9.14 and 9.15: a lost sign", cost, (compare, more), numbers={"torque": missed, "share": share}, sources=SOURCES, key="misprint-9.15"
+        "9.14 and 9.15: a missing sign", cost, (compare, more), numbers={"torque": missed, "share": share}, sources=SOURCES, key="misprint-9.15"
     )
 
 
 def task_torque_section() -> Section:
-    """9.16: V_d' and X_e' for the rates that the derivation has."""
+    """9.16: V_d' and X_e' instead of the rates in the derivation."""
     t = np.linspace(0, path().period or 1.0, 41)
     design = np.roots([1, GAINS["kd"], GAINS["kp"], GAINS["ki"]])
     found: dict[str, dict[str, float]] = {}
@@ -215,15 +219,16 @@ def task_torque_section() -> Section:
         }
     a, b = found["printed"], found["standard"]
     cost = (
-        f"On the moving path the printed form's roots stray from the design by up to {written(a['away'])} 1/s (standard: {written(b['away'], 2)}), "
+        f"On the moving path the poles of the printed form differ from the design by up to {written(a['away'])} 1/s (standard: "
+        f"{written(b['away'], 2)}), "
         f"and a rotation error of 0.3 rad moves the tool by {written(a['sideways'])} mm instead of {written(b['sideways'])}. "
         "At rest both forms have the same poles."
     )
     shown = {
         form: facts(
-            ("Rightmost root", Number(x["rightmost"], "1/s", 4)),
+            ("Rightmost pole", Number(x["rightmost"], "1/s", 4)),
             ("Largest imaginary part", Number(tiny(x["imaginary"]), "rad/s", 2)),
-            ("Sideways", Number(x["sideways"], "mm")),
+            ("Position error", Number(x["sideways"], "mm")),
         )
         for form, x in found.items()
     }
@@ -234,22 +239,25 @@ def task_torque_section() -> Section:
          (Equation('dif/(dif t)(["Ad"] "V"_d) + K_p X_e + K_i integral X_e dif t + K_d "V"_e', "standard"), shown["standard"])),
         cost,
     )  # fmt: skip
-    return Section("9.16: which rate", cost, (compare,), numbers=found, sources=SOURCES, key="misprint-9.16")
+    return Section("9.16: rates of the reference twist and of the error", cost, (compare,), numbers=found, sources=SOURCES, key="misprint-9.16")
 
 
 def reciprocity_section() -> Section:
-    """9.17: SO(3) for se(3) and its dual."""
+    """9.17: SO(3) instead of se(3) and its dual."""
     n = invariance_section().numbers
     same, other = float(n["change_of_work"]), float(n["change_of_twist_product"])
     cost = (
-        f"Treating both as vectors of one space changes the product by {written(other)} under a change of frame; as twist and wrench it changes "
+        f"As vectors of one space, their product changes by {written(other)} under a change of frame; as twist and wrench it changes "
         f"by {written(same, 2)}. 9.18 also lacks its right-hand side, 0."
     )
     compare = two(
         (
             "As printed",
             Status.WATCH,
-            (Equation('"V" in S O(3), quad "F" in S O^*(3)', "rotations for twists", "9.17"), facts(("Change with the frame", Number(other, "")))),
+            (
+                Equation('"V" in S O(3), quad "F" in S O^*(3)', "rotations instead of twists", "9.17"),
+                facts(("Change with the frame", Number(other, ""))),
+            ),
         ),
         (
             "Standard",
@@ -258,7 +266,7 @@ def reciprocity_section() -> Section:
         ),
         cost,
     )
-    return Section("9.17: where twists and wrenches live", cost, (compare,), numbers=dict(n), sources=SOURCES, key="misprint-9.17")
+    return Section("9.17: the spaces of twists and wrenches", cost, (compare,), numbers=dict(n), sources=SOURCES, key="misprint-9.17")
 
 
 # --- 9.24 --------------------------------------------------------------------------------------------------------
@@ -270,11 +278,11 @@ class Rest(NamedTuple):
     stable: bool
     rightmost: float  #: [1/s]
     error: Array  #: (6,) X_e at rest
-    balance: float  #: [N] departure of P Lambda Kp X_e from P (eta + F_tip) (standard: from P F_tip)
+    balance: float  #: [N] deviation of P Lambda Kp X_e from P (eta + F_tip) (standard: from P F_tip)
 
 
 def at_rest(form: Literal["standard", "printed", "printed_eta"]) -> Rest:
-    """The rest point of one form, its stability, and the balance that its position error obeys."""
+    """The equilibrium of one form, its stability, and the force balance of its position error."""
     loop = hybrid_loop(form=form)
     rest, lin = loop.equilibrium(), loop.linearize(about="equilibrium")
     Lambda, eta = arm().task_inertia(rest.q), arm().task_bias(rest.q, np.zeros(6))
@@ -291,14 +299,14 @@ def hybrid_section() -> Section:
     mm = {form: 1e3 * float(np.linalg.norm(x.error[:3])) for form, x in found.items()}
     mrad = {form: 1e3 * float(np.linalg.norm(x.error[3:])) for form, x in found.items()}
     cost = (
-        f"As printed the motion directions lose their gravity compensation: under PD on the wall the tool rests {written(mm['printed'])} mm and "
-        f"{written(mrad['printed'])} mrad off; the standard form leaves {written(mm['standard'], 2)} mm."
+        f"As printed, the motion directions have no gravity compensation: under PD on the wall the error at rest is {written(mm['printed'])} mm and "
+        f"{written(mrad['printed'])} mrad; with the standard form it is {written(mm['standard'], 2)} mm."
     )
     shown = {
         form: facts(
-            ("Off at rest", Number(mm[form], "mm")),
-            ("Turned at rest", Number(mrad[form], "mrad")),
-            ("Rightmost root", Number(x.rightmost, "1/s")),
+            ("Position error at rest", Number(mm[form], "mm")),
+            ("Rotation error at rest", Number(mrad[form], "mrad")),
+            ("Rightmost pole", Number(x.rightmost, "1/s")),
         )
         for form, x in found.items()
     }
@@ -316,16 +324,16 @@ def hybrid_section() -> Section:
     columns = (
         Column("Form", numeric=False),
         Column("verdict", numeric=False),
-        Column("off", "mm"),
-        Column("turned", "mrad"),
-        Column("balance to", "N"),
+        Column("position error", "mm"),
+        Column("rotation error", "mrad"),
+        Column("balance error", "N"),
     )
     rows = tuple((form, in_words(x.stable), Number(mm[form]), Number(mrad[form]), Number(x.balance, digits=2)) for form, x in found.items())
     body = (
         compare,
         Paragraph(
-            "At its rest point the printed form obeys P Λ Kp X_e = P (η + F_tip). With η back in its place only the rates V_d' and X_e' "
-            "differ from the standard form, and at rest they vanish."
+            "At equilibrium, the printed form obeys P Λ Kp X_e = P (η + F_tip). With η outside (I − P), only the rates V_d' and X_e' "
+            "differ from the standard form; they vanish at rest."
         ),
         Table("The three forms under PD on a wall of 10 kN/m.", columns, rows),
     )
@@ -336,13 +344,13 @@ def hybrid_section() -> Section:
         "balance": {f: x.balance for f, x in found.items()},
         "error": {f: x.error for f, x in found.items()},
     }
-    return Section("9.24: the bias in the wrong half", cost, body, checks, numbers, SOURCES, key="misprint-9.24")
+    return Section("9.24: the bias term in the wrong subspace", cost, body, checks, numbers, SOURCES, key="misprint-9.24")
 
 
 # --- the text ----------------------------------------------------------------------------------------------------
 
 SLIPS: tuple[tuple[str, Text, Text], ...] = (
-    ("9.1", (Math("q_t (t) in S O(3)"), " for a vector of joint positions"), (Math("q_d in RR^n"), ": n joint positions are no rotation")),
+    ("9.1", (Math("q_t (t) in S O(3)"), " for a vector of joint positions"), (Math("q_d in RR^n"), ": joint positions are not a rotation")),
     ("9.1", Math("dot(q) = q_d"), Math("dot(q) = dot(q)_d")),
     ("9.7", (Math("C(q, dot(q))"), " linear in q"), (Math("C"), " is linear in the velocities, ", Math("C dot(q)"), " quadratic")),
     (
@@ -356,19 +364,21 @@ SLIPS: tuple[tuple[str, Text, Text], ...] = (
     (
         "9.19",
         (Math('"F"_"tip"'), " is the environment's action on the tool"),
-        "with the sign of 9.19 it is what the robot applies to the environment",
+        "with the sign of 9.19 it is the wrench of the robot on the environment",
     ),
     ("9.24", (Math('K_"fd"'), " in front of ", Math('"F"_e')), (Math('K_"fp"'), ", as in 9.22")),
     ("exercise 9.3", "repeat 9.1 and 9.3", "repeat 9.1 and 9.2"),
-)  #: place, as printed, as meant
+)  #: location, as printed, corrected
 
 
 def slips_section() -> Section:
-    """The slips in the text that change no law."""
-    finding = f"{len(SLIPS)} slips in the text change no law but can mislead; the two that a computation can speak for are shown below the table."
+    """Minor errors in the text that change no control law."""
+    finding = f"{len(SLIPS)} minor errors in the text change no control law but can mislead. Two of them are checked by computation below the table."
     coupled = _coupled_by_gravity()
     body = (
-        Table("Slips in the text.", (Column("Where", numeric=False), Column("printed", numeric=False), Column("meant", numeric=False)), SLIPS),
+        Table(
+            "Minor errors in the text.", (Column("Where", numeric=False), Column("Printed", numeric=False), Column("Correct", numeric=False)), SLIPS
+        ),
         facts(
             ("RP arm: off-diagonal of M(q)", Number(coupled["mass"], "kg m", 2)),
             ("RP arm: gravity torque per length", Number(coupled["gravity"], "Nm/m")),
@@ -377,9 +387,9 @@ def slips_section() -> Section:
     )
     checks = (
         at_most("off-diagonal of M of the RP arm", 1e-12, coupled["mass"], "kg m"),
-        at_most("departure from theory", 1e-9, 25 * abs(coupled["quadratic"] - 4), "%", "C q' is quadratic"),
+        at_most("deviation from theory", 1e-9, 25 * abs(coupled["quadratic"] - 4), "%", "C q' is quadratic"),
     )
-    return Section("Slips in the text", finding, body, checks, coupled, SOURCES, key="slips")
+    return Section("Minor errors in the text", finding, body, checks, coupled, SOURCES, key="slips")
 
 
 def _coupled_by_gravity() -> dict[str, float]:

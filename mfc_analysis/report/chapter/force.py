@@ -1,4 +1,4 @@
-"""Force control, equations 9.19 to 9.23: contact, slow and fast; payload errors; free space; the loop in contact and its margins."""
+"""Force control, equations 9.19 to 9.23: dynamic and quasi-static contact, unknown payload, free space, and margins in contact."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold
 
-Z = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])  #: the direction that presses, as gains of six components
+Z = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])  #: the pressing direction, as gains with six components
 POSE = np.array([0.3, -1.25, 1.9, -2.2, -1.57, 0.2])  #: [rad] UR5 with its tool pointing down
 KFP, KFI, KDAMP, MASS = 1.0, 5.0, 60.0, 1.0  #: of the slider: [-], [1/s], [Ns/m], [kg]
 ARM_DAMPING = np.array([200.0, 200.0, 200.0, 4.0, 4.0, 4.0])  #: of the arm: [Ns/m, Nms/rad]
-GRIP = np.array([2000.0, 2000.0, 50.0, 50.0, 20.0])  #: [N/m, Nm/rad] how a rubber tip that sticks holds the tool in x, y, rx, ry, rz
+GRIP = np.array([2000.0, 2000.0, 50.0, 50.0, 20.0])  #: [N/m, Nm/rad] stiffness of a sticking rubber tip in x, y, rx, ry, rz
 G = 9.81
 SOURCES = ("Lynch & Park, Modern Robotics, ch. 11.5", "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 9")
 
@@ -47,7 +47,7 @@ SOURCES = ("Lynch & Park, Modern Robotics, ch. 11.5", "Siciliano et al., Robotic
 def slider_loop(
     stiffness: float | None = 1e4, kfp: float = KFP, kfi: float | None = KFI, kdamp: float = KDAMP, hardware: Hardware | None = None
 ) -> ClosedLoop:
-    """One mass of 1 kg under 9.23 (9.22 without damping), pressing with 10 N on a spring [N/m], or on nothing."""
+    """One mass of 1 kg under 9.23 (9.22 without damping), pressing with 10 N on a spring [N/m], or in free space."""
     law: ForceLaw = laws.DampedForcePI(10 * Z, kfp * Z, None if kfi is None else kfi * Z, kdamp * Z)
     if not kdamp:
         law = laws.ForcePI(10 * Z, kfp * Z, None if kfi is None else kfi * Z)
@@ -58,7 +58,7 @@ def slider_loop(
 def arm_loop(
     stiffness: float | None = 1e4, law: ForceLaw | None = None, kfp: float = KFP, robot: Robot | None = None, hardware: Hardware | None = None
 ) -> ClosedLoop:
-    """A UR5 pressing with 20 N on a surface [N/m] to which its rubber tip sticks, or on nothing; the controller believes in the bare arm."""
+    """A UR5 pressing with 20 N on a surface [N/m] to which its rubber tip sticks, or in free space; the controller's model is the bare arm."""
     law = law or laws.DampedForcePI(20 * Z, kfp * Z, KFI * Z, ARM_DAMPING)
     surfaces = None if stiffness is None else [Environment(stiffness, preload=20.0), Environment(GRIP, axes="xyrxryrz")]
     model = arm()
@@ -80,21 +80,21 @@ def sections() -> tuple[Section, ...]:
 
 
 def contact_section() -> Section:
-    """How far the quasi-static model is from the dynamic one, over frequency."""
+    """Deviation of the quasi-static model from the dynamic one over frequency."""
     w = np.geomspace(0.1, 300.0, 36)
     far = {"slider": slider_loop().quasi_static().departure(w), "UR5": arm_loop().quasi_static().departure(w)}
     tenth = {name: crossing(w, d, 0.1) for name, d in far.items()}
     spring = np.sqrt(1e4 / MASS)
     finding = (
-        f"Leaving the inertia out is wrong by a tenth of the force at {written(tenth['slider'])} rad/s for the slider and at "
-        f"{written(tenth['UR5'])} rad/s for the UR5; slower than that 9.20 stands for 9.19."
+        f"Neglecting the inertia causes a force error of 10 % at {written(tenth['slider'])} rad/s for the slider and at "
+        f"{written(tenth['UR5'])} rad/s for the UR5. At lower frequencies 9.20 approximates 9.19."
     )
     figure = Figure(
         partial(
-            plots.curves, w, list(far.items()), xlabel="ω [rad/s]", ylabel="departure [-]", log="xy", limit=0.1, title="9.20 against 9.19"
+            plots.curves, w, list(far.items()), xlabel="ω [rad/s]", ylabel="deviation [-]", log="xy", limit=0.1, title="9.20 compared with 9.19"
         ),
-        "Departure of the quasi-static model: largest singular value of the difference of both transfers from the force asked for to the force.",
-        f"Departure over frequency: one tenth at {tenth['slider']:.3g} rad/s (slider) and {tenth['UR5']:.3g} rad/s (UR5).",
+        "Deviation of the quasi-static model: largest singular value of the difference between both transfers from desired to actual force.",
+        f"Deviation over frequency: 10 % at {tenth['slider']:.3g} rad/s (slider) and {tenth['UR5']:.3g} rad/s (UR5).",
     )  # fmt: skip
     body = (
         Equation('M dot.double(q) + C dot(q) + g + J^top "F"_"tip" = tau', "dynamics in contact", "9.19"),
@@ -109,7 +109,7 @@ def contact_section() -> Section:
         figure,
     )
     return Section(
-        "Contact, fast and slow: 9.19 and 9.20",
+        "Dynamic and quasi-static contact: 9.19 and 9.20",
         finding,
         body,
         numbers={"frequencies": w, "departure": far, "one_tenth_at": tenth},
@@ -134,7 +134,7 @@ def crossing(x: Array, y: Array, level: float) -> float:
 
 
 def payload_section() -> Section:
-    """What an unknown payload costs 9.21, 9.22 with kfp alone, and 9.23 with the integral."""
+    """Force error due to an unknown payload: 9.21, 9.22 with kfp alone, and 9.23 with the integral."""
     masses = np.array([0.5, 1.0, 2.0, 3.0])
     open_law = laws.OpenLoopForce(20 * Z)
     by_law = {"9.21": open_law, "9.23, kfp = 1": laws.DampedForcePI(20 * Z, KFP * Z, kdamp=ARM_DAMPING), "9.23, kfp = 1, kfi = 5": None}
@@ -145,10 +145,10 @@ def payload_section() -> Section:
     closed = masses * G * down
     share = errors["9.23, kfp = 1"][-1] / errors["9.21"][-1]
     finding: Text = (
-        "Each kilogram that ",
+        "Each kilogram of payload missing in ",
         Math("hat(g)"),
-        f" does not know presses {written(abs(closed[1]))} N too hard under 9.21; kfp = 1 leaves {written(share, 2)} of it, "
-        f"and the integral leaves {written(tiny(float(np.abs(errors['9.23, kfp = 1, kfi = 5']).max())), 2)} N at most.",
+        f" adds {written(abs(closed[1]))} N to the force under 9.21. With kfp = 1 a fraction of {written(share, 2)} remains, "
+        f"and with the integral {written(tiny(float(np.abs(errors['9.23, kfp = 1, kfi = 5']).max())), 2)} N at most.",
     )
     rows: tuple[tuple[Cell, ...], ...] = tuple(
         (Number(float(m), exact=True), float(c), float(s), *(tiny(float(errors[name][i])) for name in by_law))
@@ -161,10 +161,10 @@ def payload_section() -> Section:
             (
                 "Force error ",
                 Math('"F"_d - "F"_"tip"'),
-                " along the tool axis of a UR5 that presses down with 20 N: by the weight alone, by 9.20, and at the rest point in contact.",
+                " along the tool axis of a UR5 that presses down with 20 N: from the weight alone, from 9.20, and at equilibrium in contact.",
             )
         ),
-        Table("Steady force error for a payload that the controller does not know.", columns, rows),
+        Table("Steady-state force error for an unknown payload.", columns, rows),
     )
     checks = (
         agreement("force error at rest, 3 kg", float(errors["9.21"][-1]), float(closed[-1]), 1e-6),
@@ -175,7 +175,7 @@ def payload_section() -> Section:
 
 
 def tiny(value: float, floor: float = 1e-6) -> float:
-    """A number, 0 where it is rounding."""
+    """The value, or 0 if it is rounding error."""
     return 0.0 if abs(value) < floor else value
 
 
@@ -183,7 +183,7 @@ def tiny(value: float, floor: float = 1e-6) -> float:
 
 
 class Free(NamedTuple):
-    """A force law with nothing to push against."""
+    """A force law in free space."""
 
     name: str
     loop: ClosedLoop
@@ -216,14 +216,14 @@ def free_runs() -> tuple[Free, ...]:
 
 
 def free_space_section() -> Section:
-    """9.22 runs away where there is nothing to push against; under 9.23 the speed still ramps."""
+    """In free space 9.22 accelerates without limit; under 9.23 the speed still ramps."""
     runs = free_runs()
     drifts = [bool(r.loop.linearize().drifts[0]) for r in runs]
     a, b = runs[0], runs[1]
     finding = (
-        f"With nothing to push against, 9.22 takes the slider to {written(float(a.speed[-1]))} m/s and the UR5 to "
-        f"{written(float(runs[2].speed[-1]))} m/s within a second; under 9.23 the slider's speed still ramps at {written(b.acceleration)} m/s², "
-        f"because the force integral winds up. {sum(drifts)} of {len(runs)} loops drift, none is stable."
+        f"In free space, 9.22 accelerates the slider to {written(float(a.speed[-1]))} m/s and the UR5 to "
+        f"{written(float(runs[2].speed[-1]))} m/s within 1 s; under 9.23 the slider's speed still ramps at {written(b.acceleration)} m/s², "
+        f"because the force integral winds up. {sum(drifts)} of {len(runs)} loops drift; none is stable."
     )
     rows = tuple(
         (r.name, float(r.speed[-1]), r.acceleration, Number(r.expected, undefined="nonlinear"), in_words(False, d))
@@ -239,19 +239,19 @@ def free_space_section() -> Section:
     fast = plots.Panel("9.22: speed [m/s]", np.stack([a.speed, runs[2].speed], axis=1))
     slow = plots.Panel("9.23: speed [m/s]", np.stack([b.speed[: len(a.t)], runs[3].speed], axis=1))
     figure = Figure(
-        partial(plots.traces, a.t, (fast, slow), ("slider", "UR5"), title="Pushing on nothing"),
-        "Speed along the tool axis after the force is asked for in free space.",
+        partial(plots.traces, a.t, (fast, slow), ("slider", "UR5"), title="Force control in free space"),
+        "Speed along the tool axis after a force command in free space.",
         f"Speeds over one second: 9.22 slider {a.speed[-1]:.3g} m/s, UR5 {runs[2].speed[-1]:.3g} m/s; "
         f"9.23 slider {b.speed[100]:.3g} m/s, UR5 {runs[3].speed[-1]:.3g} m/s.",
     )
     body = (
-        Equation('dot(v) -> (k_"fi" F_d)/(k_"damp" + b)', "the acceleration that is left under 9.23", "9.23"),
+        Equation('dot(v) -> (k_"fi" F_d)/(k_"damp" + b)', "the remaining acceleration under 9.23", "9.23"),
         Table("Force laws in free space.", columns, rows),
         figure,
         Callout(
             Status.INFO,
             "What this shows",
-            "A demonstration of the chapter's warning. These loops are not meant to be run like this: only the closed forms pass or fail.",
+            "This section demonstrates the chapter's warning. Do not use these loops in free space. Only the closed forms are checked.",
         ),
     )
     checks = (
@@ -264,7 +264,7 @@ def free_space_section() -> Section:
         "closed_form": {r.name: r.expected for r in runs},
         "drifts": dict(zip((r.name for r in runs), drifts, strict=True)),
     }
-    return Section("Nothing to push against: 9.22 and 9.23 in free space", finding, body, checks, numbers, SOURCES, key="free-space")
+    return Section("Free space: 9.22 and 9.23", finding, body, checks, numbers, SOURCES, key="free-space")
 
 
 # --- in contact --------------------------------------------------------------------------------------------------
@@ -281,7 +281,7 @@ def slider_section() -> Section:
     m = lin.margins("force")
     finding = (
         f"On a spring of {written(k, exact=True)} N/m with a torque lag of 2 ms the phase margin at the force sensor is "
-        f"{written(float(m.phase_deg[0, 2]))}° and the force may be multiplied by {written(float(m.gain_increase[0, 2]))} before the loop is lost."
+        f"{written(float(m.phase_deg[0, 2]))}° and the gain margin is a factor of {written(float(m.gain_increase[0, 2]))}."
     )
     body = (
         Equation(
@@ -293,7 +293,7 @@ def slider_section() -> Section:
         response(lin, "force", 2, "slider, 9.23", span=(0.1, 3e3)),
         pole_map(p, "slider, 9.23"),
     )
-    checks = (*force_checks(lin, 45.0, 6.0, 2.0), at_most("departure from theory", 1e-6, 100 * away, "%", "characteristic polynomial"))
+    checks = (*force_checks(lin, 45.0, 6.0, 2.0), at_most("deviation from theory", 1e-6, 100 * away, "%", "characteristic polynomial"))
     numbers = {"polynomial": found * MASS * lag, "closed_form": wanted * MASS * lag, "poles": p, **margin_numbers(lin)}
     return Section("One mass pressing on a spring: 9.23", finding, body, checks, numbers, SOURCES, loop="9.23 force PI, slider", key="slider-force")
 
@@ -321,23 +321,24 @@ def arm_section() -> Section:
                     infinite="no crossover",
                 ),
                 Number(float(at_torque.phase_deg[0].min()), undefined="unstable", infinite="no crossover"),
-                Number(float(at_torque.delay[0].min()) * 1e3, undefined="unstable", infinite="no limit"),
+                Number(float(at_torque.delay[0].min()) * 1e3, undefined="unstable", infinite="unlimited"),
             )
         )
     lin = lins["9.23"]
     t, f = lin.margins("torque"), lin.margins("force")
     j = int(np.argmin(t.phase_deg[0]))
     finding = (
-        f"The UR5 under 9.23 on 10 kN/m with a torque lag of 2 ms keeps {written(float(f.phase_deg[0, 2]))}° at the force sensor and at least "
-        f"{written(float(t.phase_deg[0, j]))}° at each torque (least at {t.channels[j]}); without damping (9.22) the same loop is "
+        f"The UR5 under 9.23 on 10 kN/m with a torque lag of 2 ms has a phase margin of {written(float(f.phase_deg[0, 2]))}° at the force "
+        "sensor and at least "
+        f"{written(float(t.phase_deg[0, j]))}° at each torque (smallest at {t.channels[j]}); without damping (9.22) the same loop is "
         f"{in_words(bool(lins['9.22'].stable[0]), bool(lins['9.22'].drifts[0]))}."
     )
     columns = (
         Column("Law", numeric=False),
         Column("verdict", numeric=False),
         Column("phase, force", "°"),
-        Column("least phase, torque", "°"),
-        Column("least delay, torque", "ms"),
+        Column("smallest phase, torque", "°"),
+        Column("smallest delay, torque", "ms"),
     )
     body = (
         Equation(laws.DampedForcePI.typst, "damped PI force control", "9.23"),
@@ -345,7 +346,7 @@ def arm_section() -> Section:
         Table("A UR5 pressing with 20 N on a surface of 10 kN/m, torque lag 2 ms.", columns, tuple(rows)),
         response(lin, "force", 2, "UR5, 9.23, fz", span=(0.1, 3e3)),
         response(lin, "torque", j, f"UR5, 9.23, {t.channels[j]}", span=(0.1, 3e3)),
-        poles_table([(name, x.poles()[0]) for name, x in lins.items()], 5, "The slowest closed-loop poles that are not at zero."),
+        poles_table([(name, x.poles()[0]) for name, x in lins.items()], 5, "The slowest nonzero closed-loop poles."),
     )
     numbers = {
         "verdicts": {name: row[1] for name, row in zip(lins, rows, strict=True)},

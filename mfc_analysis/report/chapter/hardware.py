@@ -1,4 +1,4 @@
-"""What real hardware does to a loop: what breaks first, dead time x bandwidth, all loops at once, and the truth on a moving reference."""
+"""Effects of real hardware: the most critical imperfection, dead time x bandwidth, disk margins, Floquet multipliers on a moving reference."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ SOURCES = (
     "Franklin, Powell, Workman, Digital Control of Dynamic Systems",
 )
 BANDWIDTH, PAYLOAD, LAG = 15.0, 2.0, 2e-3  #: [rad/s] triple pole, [kg] unknown, [s]
-ASIDE = (0.8, 1.25)  #: simulated runs lie at these parts of a limit
+ASIDE = (0.8, 1.25)  #: fractions of a limit that are simulated
 ASKED = Requirements(phase_deg=45.0, gain_increase_db=6.0, gain_reduction_db=6.0, delay=8e-3, sensitivity_peak=2.0, disk_margin=0.4)
 
 
 def sections() -> tuple[Section, ...]:
-    """Sections on hardware and honest robustness for the chapter report."""
+    """Sections on hardware and robustness for the chapter report."""
     return (first_section(), delay_section(), disk_section(), floquet_section())
 
 
@@ -46,15 +46,15 @@ def computed_torque(robot: Robot, model: Robot, q: Array, w: float = BANDWIDTH, 
 
 
 def loaded() -> ClosedLoop:
-    """The UR5 under 9.10 with 2 kg that the controller does not know and a torque lag of 2 ms."""
+    """The UR5 under 9.10 with an unknown payload of 2 kg and a torque lag of 2 ms."""
     return computed_torque(arm().with_payload(PAYLOAD), arm(), POSE, hardware=Hardware(torque_lag=LAG))
 
 
-# --- what breaks first -------------------------------------------------------------------------------------------
+# --- the most critical imperfection ------------------------------------------------------------------------------
 
 
 class Limit(NamedTuple):
-    """How far one imperfection may go, against what the arm is expected to meet."""
+    """The limit of one imperfection, and the value expected in use."""
 
     name: str
     limit: float
@@ -64,7 +64,7 @@ class Limit(NamedTuple):
 
     @property
     def factor(self) -> float:
-        """Limit over expectation (the other way round for a lower limit): below 1 it breaks."""
+        """Limit over expectation (expectation over limit for a lower limit); below 1 the expected value exceeds the limit."""
         return self.limit / self.expected if self.more else self.expected / self.limit
 
 
@@ -85,42 +85,42 @@ def limits() -> tuple[Limit, ...]:
 
 
 def first_section() -> Section:
-    """How far each imperfection is away, the nearest first; sample rate and payload confirmed by simulation."""
+    """The limit of each imperfection, the most critical first; sample rate and payload confirmed by simulation."""
     ranked = sorted(limits(), key=lambda x: x.factor)
     near = ranked[0]
     rows = tuple(
         (x.name, Number(x.limit, x.unit), Number(x.expected, x.unit, exact=True), "at most" if x.more else "at least", Number(x.factor, "×"))
         for x in ranked
     )
-    columns = (Column("Imperfection", numeric=False), Column("limit"), Column("expected"), Column("sense", numeric=False), Column("away"))
+    columns = (Column("Imperfection", numeric=False), Column("Limit"), Column("Expected"), Column("Type", numeric=False), Column("Factor"))
     points = confirmed()
     agree = sum(stable == settled for _, _, stable, settled in points)
     finding = (
-        f"What breaks first is the {near.name}: the loop bears {Number(near.limit, near.unit)} where "
+        f"The most critical imperfection is the {near.name}: the limit is {Number(near.limit, near.unit)}, and "
         f"{Number(near.expected, near.unit, exact=True)} is expected, a factor of {written(near.factor)}. "
-        f"{agree} of {len(points)} simulated runs at 0.8 and 1.25 of a limit do what the limit says."
+        f"{agree} of {len(points)} simulated runs at 0.8 and 1.25 times a limit agree with it."
     )
     shown = tuple((f"{name}, {written(value)} {unit}", "stable" if stable else "unstable", "settles" if settled else "grows")
                   for (name, unit), value, stable, settled in points)  # fmt: skip
     body = (
         Paragraph(
-            f"A UR5 under 9.10 (triple pole at {BANDWIDTH:g} rad/s) holds a pose with {PAYLOAD:g} kg that the controller does not know and a torque "
-            "lag of 2 ms; each imperfection alone grows until the loop is lost. Expected are the arm's rated payload, an interface at 125 Hz and "
-            "the dead time of one sample."
+            f"A UR5 under 9.10 (triple pole at {BANDWIDTH:g} rad/s) holds a pose with an unknown payload of {PAYLOAD:g} kg and a torque "
+            "lag of 2 ms. Each imperfection is increased alone until the loop becomes unstable. The expected values are the rated payload of the "
+            "arm, an interface at 125 Hz and a dead time of one sample."
         ),
-        Table("How far each imperfection may go, the nearest first.", columns, rows),
+        Table("Limit of each imperfection, the most critical first.", columns, rows),
         Table(
-            "Nonlinear runs on both sides of two limits.",
+            "Nonlinear simulations on both sides of two limits.",
             (Column("Run", numeric=False), Column("linear", numeric=False), Column("simulated", numeric=False)),
             shown,
         ),
     )
     checks = (
-        *(at_least("limit over expectation", 1.0, x.factor, "", x.name) for x in ranked),
+        *(at_least("limit over expected value", 1.0, x.factor, "", x.name) for x in ranked),
         at_least("simulated points that agree", float(len(points)), float(agree)),
     )
     numbers = {"limits": {x.name: x.limit for x in ranked}, "factors": {x.name: x.factor for x in ranked}}
-    return Section("What breaks first", finding, body, checks, numbers, SOURCES, key="breaks-first")
+    return Section("The most critical imperfection", finding, body, checks, numbers, SOURCES, key="breaks-first")
 
 
 def confirmed() -> list[tuple[tuple[str, str], float, bool, bool]]:
@@ -148,7 +148,7 @@ def single(w: float, delay: float | None = None) -> ClosedLoop:
 
 
 def delay_section() -> Section:
-    """Dead time x bandwidth of computed torque on one joint: what the product may be."""
+    """Largest product of dead time and bandwidth for computed torque on one joint."""
     w, T, at = np.geomspace(2, 50, 11), np.geomspace(2e-3, 0.5, 15), 10.0
     found: DelayMap = delay_map(single, T, w)
     limit = float(design.max_delay(single(at)))
@@ -161,12 +161,13 @@ def delay_section() -> Section:
     grown = np.arcsinh(found.growth)
     figure = Figure(
         partial(plots.stability_map, T, w, grown, xlabel="dead time [s]", ylabel="triple pole at [rad/s]", points=tuple(points)),
-        "Where 9.10 on the single joint is stable, by the exact roots; circles and crosses are simulated runs.",
+        "Stability region of 9.10 on the single joint from the exact roots. Circles and crosses: simulated runs.",
         f"Stability map: at {at:g} rad/s stable up to {1e3 * limit:.4g} ms of dead time; {agree} of {len(points)} simulated points agree.",
     )
     finding = (
-        f"At {at:g} rad/s the loop bears {written(1e3 * limit)} ms of dead time, at 40 rad/s {written(1e3 * product[1] / 40)} ms: the product of "
-        f"bandwidth and dead time may be {written(float(product[0]))} and {written(float(product[1]))} rad."
+        f"At {at:g} rad/s the loop is stable up to {written(1e3 * limit)} ms of dead time, at 40 rad/s up to "
+        f"{written(1e3 * product[1] / 40)} ms. The "
+        f"largest products of bandwidth and dead time are {written(float(product[0]))} and {written(float(product[1]))} rad."
     )
     body = (
         Equation("(s + omega)^3 = 0, quad tau -> e^(-s T) tau", "triple pole and dead time"),
@@ -181,27 +182,27 @@ def delay_section() -> Section:
     )
     checks = (at_least("simulated points that agree", float(len(points)), float(agree)),)
     numbers = {"limit": limit, "product": product, "points": points}
-    return Section("Dead time against bandwidth", finding, body, checks, numbers, SOURCES, key="dead-time")
+    return Section("Dead time and bandwidth", finding, body, checks, numbers, SOURCES, key="dead-time")
 
 
 # --- all loops at once -------------------------------------------------------------------------------------------
 
 
 def disk_section() -> Section:
-    """One loop at a time against all at once, and inputs with outputs together."""
+    """One loop at a time, all loops at once, and inputs and outputs together."""
     lin = loaded().linearize()
     one, all_, both = lin.margins("torque"), lin.disk_margin("torque"), lin.disk_margin(("torque", "position"), np.geomspace(1.0, 100.0, 60))
     a, b = float(all_.alpha[0]), float(both.alpha[0])
     finding = (
-        f"One torque at a time the loop bears {written(float(one.phase_deg.min()))}° of phase; all six at once "
-        f"{written(float(all_.phase_deg[0]))}° or {written(float(all_.gain_db[0]))} dB, and torques and encoders together "
+        f"With one torque varied at a time, the loop tolerates {written(float(one.phase_deg.min()))}° of phase; with all six at once, "
+        f"{written(float(all_.phase_deg[0]))}° or {written(float(all_.gain_db[0]))} dB; with torques and encoders together, "
         f"{written(float(both.phase_deg[0]))}° or {written(float(both.gain_db[0]))} dB."
     )
 
     def picture(title: str, alpha: float, gain: tuple[float, float], phase: float, w: float) -> Figure:
         return Figure(
             partial(plots.disk, gain, phase, alpha=alpha, title=title),
-            f"{title}: the factors that every channel may be multiplied by at once; tightest at {written(w)} rad/s.",
+            f"{title}: allowed simultaneous factors of all channels; critical frequency {written(w)} rad/s.",
             f"Disk of {title.lower()}: alpha {alpha:.3g}, gains {gain[0]:.3g} to {gain[1]:.3g}, phase {phase:.3g} degrees.",
         )
 
@@ -211,15 +212,15 @@ def disk_section() -> Section:
             for x, title in ((all_, "All torques"), (both, "Torques and encoders"))
         )
     )
-    columns = (Column("Perturbed", numeric=False), Column("alpha"), Column("gain", "dB"), Column("phase", "°"), Column("tightest at", "rad/s"))
+    columns = (Column("Perturbed", numeric=False), Column("alpha"), Column("gain", "dB"), Column("phase", "°"), Column("critical frequency", "rad/s"))
     rows = tuple(
         (name, float(x.alpha[0]), float(x.gain_db[0]), float(x.phase_deg[0]), float(x.frequency[0]))
         for name, x in (("all torques at once", all_), ("torques and encoders at once", both))
     )
     body = (
-        Table("Disk margins: each channel by its own gain and phase, all at once.", columns, rows),
+        Table("Disk margins: independent gain and phase variations of all channels at once.", columns, rows),
         row,
-        Callout(Status.INFO, "What alpha is", f"All torques: {all_.bound.value}. Torques and encoders: {both.bound.value}."),
+        Callout(Status.INFO, "Meaning of alpha", f"All torques: {all_.bound.value}. Torques and encoders: {both.bound.value}."),
     )
     checks = as_checks(ASKED.check(loaded(), [0.0], at="torque").lines)
     numbers = {
@@ -234,23 +235,23 @@ def disk_section() -> Section:
     )
 
 
-# --- the truth on a moving reference -----------------------------------------------------------------------------
+# --- stability on a moving reference -----------------------------------------------------------------------------
 
 
 class Shaken(NamedTuple):
-    """The loop whose frozen poles say stable and whose truth is period doubling."""
+    """A loop with stable frozen poles and a period-doubling instability."""
 
     robot: str
-    frozen: Array  #: (m,) [1/s] rightmost frozen root along the true orbit
+    frozen: Array  #: (m,) [1/s] rightmost frozen pole along the periodic orbit
     floquet: Floquet
     simulated: float  #: growth of a small disturbance along the worst direction, over one simulated period
     t: Array
-    run: Array  #: (m, n) [rad] error of a run from off the orbit
+    run: Array  #: (m, n) [rad] deviation of a disturbed run from the orbit
 
 
 @cache
 def shaken() -> Shaken:
-    """UR5 under 9.10 with a constant diagonal mass matrix and 1 kg unknown, swinging at 5.66 rad/s."""
+    """UR5 under 9.10 with a constant diagonal mass matrix and an unknown payload of 1 kg, oscillating at 5.66 rad/s."""
     try:
         model, name = robots.load("ur5"), "UR5 of example-robot-data"
     except MfcError:
@@ -281,41 +282,41 @@ def shaken() -> Shaken:
 
 
 def floquet_section() -> Section:
-    """Frozen poles prove nothing on a moving reference: the multipliers on the true orbit do."""
+    """On a moving reference the Floquet multipliers of the periodic orbit decide stability; the frozen poles do not."""
     s = shaken()
     largest = s.floquet.multipliers[int(np.argmax(np.abs(s.floquet.multipliers)))]
     angle = float(np.degrees(abs(np.angle(largest))))
     frozen_says = "stable" if s.frozen.max() < 0 else "unstable"
     finding = (
-        f"Frozen at every time the loop is {frozen_says} (rightmost root at most {written(float(s.frozen.max()))} 1/s), yet on its true orbit a "
-        f"disturbance is multiplied by {written(float(abs(largest)), 5)} each period at an angle of {written(angle)}°; the simulated one grows by "
+        f"The frozen loop is {frozen_says} at every time (rightmost pole at most {written(float(s.frozen.max()))} 1/s). On the periodic orbit, a "
+        f"disturbance is multiplied by {written(float(abs(largest)), 5)} per period at an angle of {written(angle)}°; in simulation it grows by "
         f"{written(s.simulated, 5)}."
     )
     disc = Figure(
         partial(plots.multipliers, s.floquet.multipliers),
-        "Floquet multipliers of the true orbit and the unit circle.",
+        "Floquet multipliers of the periodic orbit, and the unit circle.",
         f"Floquet multipliers: largest modulus {abs(largest):.5g} at {angle:.3g} degrees, outside the unit circle.",
     )
     grows = Figure(
         partial(
             plots.traces,
             s.t,
-            (plots.Panel("off the orbit [mrad]", 1e3 * s.run),),
+            (plots.Panel("deviation [mrad]", 1e3 * s.run),),
             ("shoulder_lift", "elbow"),
             first=1,
-            title="From the orbit, period by period",
+            title="Deviation from the periodic orbit",
         ),
-        "Departure of the simulated run from the orbit over four periods, started along the worst direction.",
-        f"Departure over four periods: it grows by {s.simulated:.5g} in the first.",
+        "Deviation of the simulated run from the orbit over four periods, with a disturbance in the worst direction.",
+        f"Deviation over four periods: it grows by {s.simulated:.5g} in the first.",
     )
     body = (
         Paragraph(
-            f"{s.robot[0].upper()}{s.robot[1:]} under 9.10 with the controller's mass matrix frozen to its diagonal in the middle of the path, "
-            "1 kg that the controller does not know, swinging at 5.66 rad/s."
+            f"{s.robot[0].upper()}{s.robot[1:]} under 9.10, oscillating at 5.66 rad/s. The controller uses the constant diagonal of the mass "
+            "matrix in the middle of the path. A payload of 1 kg is unknown to it."
         ),
         KeyFacts(
             (
-                Fact("Rightmost frozen root", Number(float(s.frozen.max()), "1/s"), "along the true orbit"),
+                Fact("Rightmost frozen pole", Number(float(s.frozen.max()), "1/s"), "along the periodic orbit"),
                 Fact("Largest multiplier", Number(float(abs(largest)), "", 5), f"at {written(angle)}°"),
                 Fact("Simulated growth", Number(s.simulated, "", 5), "per period"),
             )
@@ -324,10 +325,10 @@ def floquet_section() -> Section:
         grows,
         Callout(
             Status.INFO,
-            "A demonstration",
-            f"{s.floquet.verdict.value[0].upper()}{s.floquet.verdict.value[1:]}. The loop is chosen to show it; no requirement is asked of it.",
+            "Demonstration",
+            f"{s.floquet.verdict.value[0].upper()}{s.floquet.verdict.value[1:]}. The loop is chosen to demonstrate this; it has no requirements.",
         ),
     )
     checks = (agreement("growth per period, simulated", s.simulated, s.floquet.growth, 0.1),)
     numbers = {"frozen": s.frozen, "multipliers": s.floquet.multipliers, "growth": s.floquet.growth, "simulated": s.simulated, "angle_deg": angle}
-    return Section("Frozen poles and the truth: Floquet multipliers", finding, body, checks, numbers, SOURCES, key="floquet")
+    return Section("Frozen poles and Floquet multipliers", finding, body, checks, numbers, SOURCES, key="floquet")

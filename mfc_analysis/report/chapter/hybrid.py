@@ -1,4 +1,4 @@
-"""Hybrid motion/force control, equation 9.24: both halves' margins, what couples them, the leak of X_e, damping of the force directions."""
+"""Hybrid motion/force control, equation 9.24: margins of motion and force, damping of the force directions, coupling, and the leak of X_e."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def hybrid_loop(
     kfi: float | None = KFI,
     hardware: Hardware | None = None,
 ) -> ClosedLoop:
-    """A UR5 pressing with 20 N along its tool's z axis on a wall of 10 kN/m and moving along it; the controller believes in the bare arm."""
+    """A UR5 pressing with 20 N along its tool's z axis on a wall of 10 kN/m and moving along it; the controller's model is the bare arm."""
     X = arm().pose(POSE)
     law = laws.HybridMotionForce(
         FORCE * Z, 100.0, kd=20.0, kfp=KFP * Z, kfi=None if kfi is None else kfi * Z, kdamp=kdamp * Z,
@@ -54,7 +54,7 @@ def hybrid_loop(
 
 
 def turned(degrees: float, shift: float = 0.0) -> Array:
-    """The tool's pose, turned about its x axis and moved along its z axis [m]: a wall that is not where the controller believes."""
+    """The tool's pose, turned about its x axis and moved along its z axis [m]: a wall whose pose the controller does not know exactly."""
     X = np.array(arm().pose(POSE))
     X[:3, 3] += shift * X[:3, 2]
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
@@ -66,7 +66,7 @@ def turned(degrees: float, shift: float = 0.0) -> Array:
 
 
 def margins_section() -> Section:
-    """Both loops' margins under both projections, torque lag 2 ms."""
+    """Margins of both loops with both projections, torque lag 2 ms."""
     lag = Hardware(torque_lag=2e-3)
     lins = {p: hybrid_loop(p, hardware=lag).linearize() for p in PROJECTORS}
     rows = []
@@ -82,8 +82,8 @@ def margins_section() -> Section:
     lin = lins["dynamic"]
     f, c = lin.margins("force"), lin.margins("command")
     finding = (
-        f"With a torque lag of 2 ms the force half keeps {written(rows[0][2])}° at the sensor and the motion half at least {written(rows[0][4])}° "
-        f"at its command; the selection projection gives {written(rows[1][2])}° and {written(rows[1][4])}°."
+        f"With a torque lag of 2 ms, the phase margin is {written(rows[0][2])}° at the force sensor and at least {written(rows[0][4])}° "
+        f"at the motion command; with the selection projection {written(rows[1][2])}° and {written(rows[1][4])}°."
     )
     columns = (
         Column("Projection", numeric=False), Column("verdict", numeric=False), Column("force: phase", "°"), Column("force: delay", "ms"),
@@ -91,18 +91,18 @@ def margins_section() -> Section:
     )  # fmt: skip
     body = (
         Equation("tau = J_b^top (P hat(Lambda) a + (1 - P) f + hat(eta))", "hybrid motion and force control", "9.24"),
-        Equation('a = dif/(dif t)(["Ad"] "V"_d) + K_p X_e + K_i integral X_e dif t + K_d "V"_e', "its motion half"),
-        Equation('f = "F"_d + K_"fp" "F"_e + K_"fi" integral "F"_e dif t', "its force half"),
+        Equation('a = dif/(dif t)(["Ad"] "V"_d) + K_p X_e + K_i integral X_e dif t + K_d "V"_e', "its motion part"),
+        Equation('f = "F"_d + K_"fp" "F"_e + K_"fi" integral "F"_e dif t', "its force part"),
         Paragraph(
             (
-                "The normal of the wall is the tool's z axis; the other five directions follow the motion reference. In ",
+                "The normal of the wall is the tool's z axis; the other five directions follow the motion reference. The part in ",
                 Math("(1 - P)"),
-                " damping ",
+                " includes the damping ",
                 Math('K_"damp"'),
-                " is added.",
+                ".",
             )
         ),
-        Table("Least margins of both halves on a wall of 10 kN/m.", columns, tuple(rows)),
+        Table("Smallest margins of the force and motion loops on a wall of 10 kN/m.", columns, tuple(rows)),
         response(lin, "force", 2, "UR5, 9.24, fz", span=(0.1, 3e3)),
     )
     checks = (
@@ -116,19 +116,19 @@ def margins_section() -> Section:
         "poles": lin.poles()[0],
         "validation": validated(hybrid_loop(), 0.05),
     }
-    return Section("Hybrid control, both halves: 9.24", finding, body, checks, numbers, SOURCES, loop="9.24 hybrid, UR5", key="hybrid")
+    return Section("Hybrid motion and force control: 9.24", finding, body, checks, numbers, SOURCES, loop="9.24 hybrid, UR5", key="hybrid")
 
 
 def damping_section() -> Section:
-    """The page gives the force directions no damping: unstable whatever the wall; kdamp repairs it."""
+    """As printed, the force directions have no damping: unstable for every wall stiffness. kdamp stabilises the loop."""
     k = np.geomspace(1e2, 1e6, 25)
-    growth = {name: over_stiffness(hybrid_loop(kdamp=d), k).growth for name, d in (("as on the page", 0.0), (f"kdamp = {DAMPING:g} Ns/m", DAMPING))}
+    growth = {name: over_stiffness(hybrid_loop(kdamp=d), k).growth for name, d in (("as printed", 0.0), (f"kdamp = {DAMPING:g} Ns/m", DAMPING))}
     bare, repaired = growth.values()
     limit = KFI / (1 + KFP) / 2
     finding = (
-        f"As on the page the force directions have no damping: from 0.1 kN/m to 1 MN/m a root grows at {written(float(bare.min()))} to "
-        f"{written(float(bare.max()))} 1/s, so no wall is soft or stiff enough. With kdamp = {DAMPING:g} Ns/m every root decays, the slowest at "
-        f"{written(float(repaired.max()))} 1/s."
+        f"As printed, the force directions have no damping: from 0.1 kN/m to 1 MN/m the rightmost pole is at {written(float(bare.min()))} to "
+        f"{written(float(bare.max()))} 1/s, so the loop is unstable for every stiffness. With kdamp = {DAMPING:g} Ns/m the loop is stable, "
+        f"with its rightmost pole at most at {written(float(repaired.max()))} 1/s."
     )
     figure = Figure(
         partial(
@@ -136,22 +136,20 @@ def damping_section() -> Section:
             k,
             list(growth.items()),
             xlabel="stiffness [N/m]",
-            ylabel="rightmost root [1/s]",
+            ylabel="rightmost pole [1/s]",
             log="x",
             limit=0.0,
             title="9.24 without and with damping",
         ),
-        "Rightmost root that is not at zero over the stiffness of the wall.",
-        f"Rightmost root over stiffness: {bare.min():.3g} to {bare.max():.3g} per second without damping, "
+        "Rightmost nonzero pole over the stiffness of the wall.",
+        f"Rightmost pole over stiffness: {bare.min():.3g} to {bare.max():.3g} per second without damping, "
         f"{repaired.min():.3g} to {repaired.max():.3g} with it.",
     )
     body = (
-        Equation(
-            's -> k_"fi"/(2 (1 + k_"fp")) plus.minus j sqrt(k_e (1 + k_"fp") slash m)', "the pair of roots without damping on a hard wall", "9.24"
-        ),
+        Equation('s -> k_"fi"/(2 (1 + k_"fp")) plus.minus j sqrt(k_e (1 + k_"fp") slash m)', "the pole pair without damping on a stiff wall", "9.24"),
         KeyFacts(
             (
-                Fact("Growth on a hard wall", Number(float(bare[-1]), "1/s"), "1 MN/m"),
+                Fact("Growth on a stiff wall", Number(float(bare[-1]), "1/s"), "1 MN/m"),
                 Fact("Closed form", Number(limit, "1/s"), "kfi / (2 (1 + kfp))"),
             )
         ),
@@ -159,10 +157,10 @@ def damping_section() -> Section:
     )
     numbers = {"stiffness": k, "growth_without": bare, "growth_with": repaired, "closed_form": limit}
     return Section(
-        "No damping on the page: 9.24",
+        "Force directions without damping: 9.24",
         finding,
         body,
-        (agreement("growth on a hard wall", float(bare[-1]), limit, 0.1),),
+        (agreement("growth on a stiff wall", float(bare[-1]), limit, 0.1),),
         numbers,
         SOURCES,
         key="hybrid-damping",
@@ -173,7 +171,7 @@ def damping_section() -> Section:
 
 
 class Case(NamedTuple):
-    """One way to be wrong: its transfers between the halves, and a run along the wall."""
+    """One model error: the transfers between motion and force, and a run along the wall."""
 
     force_to_motion: Array  #: (nf,) [m/N]
     motion_to_force: Array  #: (nf,) [N/m]
@@ -184,7 +182,7 @@ class Case(NamedTuple):
 
 @cache
 def cases() -> tuple[Array, dict[str, Case]]:
-    """Frequencies [rad/s] and the loop exact, with the selection, an unknown payload, a wall turned by 5 degrees."""
+    """Frequencies [rad/s] and the loop with an exact model, the selection, an unknown payload, and a wall turned by 5 degrees."""
     w = np.geomspace(0.3, 300.0, 40)
     X = arm().pose(POSE)
     slide = ToolSinusoid(X, 0.05 * X[:3, 0], 6.0)
@@ -211,13 +209,14 @@ def cases() -> tuple[Array, dict[str, Case]]:
 
 
 def coupling_section() -> Section:
-    """What a motion along the wall does to the force, and the force to the motion, when something is wrong."""
+    """Coupling from motion to force and from force to motion under model errors."""
     w, found = cases()
     exact, heavy, tilt, plain = found["exact"], found["2 kg unknown"], found["wall turned 5°"], found["selection"]
     finding = (
-        f"With an exact model the dynamic projection keeps motion out of the force ({written(float(exact.motion_to_force.max()), 2)} N/m at most). "
-        f"2 kg that the controller does not know let through {written(float(heavy.motion_to_force.max()))} N/m, a wall turned by 5° "
-        f"{written(float(tilt.motion_to_force.max()))}, and the selection, even with an exact model, {written(float(plain.motion_to_force.max()))}."
+        f"With an exact model, the dynamic projection decouples the force from the motion ({written(float(exact.motion_to_force.max()), 2)} N/m). "
+        f"The coupling is {written(float(heavy.motion_to_force.max()))} N/m with an unknown payload of 2 kg, "
+        f"{written(float(tilt.motion_to_force.max()))} N/m with a wall turned by 5°, and {written(float(plain.motion_to_force.max()))} N/m "
+        "with the selection projection and an exact model."
     )
     columns = (
         Column("Loop", numeric=False), Column("motion to force, peak", "N/m"), Column("force to motion, peak", "mm/N"),
@@ -230,27 +229,27 @@ def coupling_section() -> Section:
     )  # fmt: skip
     shown = [(name, np.maximum(c.motion_to_force, 1e-3)) for name, c in found.items() if name != "exact"]
     figure = Figure(
-        partial(plots.curves, w, shown, xlabel="ω [rad/s]", ylabel="motion to force [N/m]", log="xy", title="Motion that shows in the force"),
+        partial(plots.curves, w, shown, xlabel="ω [rad/s]", ylabel="motion to force [N/m]", log="xy", title="Coupling from motion to force"),
         "Transfer from the motion reference along the wall to the normal force; with an exact model and the dynamic projection it is zero.",
         "Coupling over frequency, peaks: " + ", ".join(f"{name} {c.motion_to_force.max():.3g} N/m" for name, c in found.items()) + ".",
     )
     body = (
         Paragraph(
-            "The arm slides by 5 cm along the wall at 6 rad/s while it presses with 20 N; errors are the largest after the first tenth of a second."
+            "The arm slides along the wall with an amplitude of 5 cm at 6 rad/s and presses with 20 N. Errors are maxima after the first 0.1 s."
         ),
-        Table("Coupling between the halves of 9.24.", columns, rows),
+        Table("Coupling between motion and force under 9.24.", columns, rows),
         figure,
     )
     numbers: dict[str, Any] = {
         name: {"motion_to_force": c.motion_to_force, "force_to_motion": c.force_to_motion, "force_error": c.force_error, "tracking": c.tracking}
         for name, c in found.items()
     }
-    checks = (at_most("motion in the force with an exact model", 1e-6, float(exact.motion_to_force.max()), "N/m", "dynamic projection"),)
-    return Section("What couples the halves: 9.24", finding, body, checks, {"frequencies": w, **numbers}, SOURCES, key="hybrid-coupling")
+    checks = (at_most("motion-to-force coupling, exact model", 1e-6, float(exact.motion_to_force.max()), "N/m", "dynamic projection"),)
+    return Section("Coupling of motion and force: 9.24", finding, body, checks, {"frequencies": w, **numbers}, SOURCES, key="hybrid-coupling")
 
 
 def leak_section() -> Section:
-    """X_e is not projected first: an error across the constraint moves the tool along the wall."""
+    """X_e is multiplied by Lambda before the projection: an error normal to the wall moves the tool along the wall."""
     shift = 2e-4
     rest = hybrid_loop(pose=turned(0.0, shift)).equilibrium()
     Lambda = arm().task_inertia(rest.q)
@@ -259,28 +258,29 @@ def leak_section() -> Section:
     predicted = -leaks["dynamic"] * across
     sizes = {p: float(np.linalg.norm(x[:3])) for p, x in leaks.items()}
     finding = (
-        f"The error is not projected first: a wall {1e3 * shift:g} mm further away than the reference leaves {written(1e3 * abs(across))} mm of "
-        f"error across it, and that moves the tool {written(1e3 * float(np.linalg.norm(along[:2])))} mm sideways and turns it by "
+        f"The error is multiplied by Λ before the projection. A wall {1e3 * shift:g} mm behind the reference causes a normal error of "
+        f"{written(1e3 * abs(across))} mm, which moves the tool {written(1e3 * float(np.linalg.norm(along[:2])))} mm sideways and turns it by "
         f"{written(1e3 * float(np.linalg.norm(along[3:])))} mrad at rest."
     )
     names = ("x [mm]", "y [mm]", "about x [mrad]", "about y [mrad]", "about z [mrad]")
     index = (0, 1, 3, 4, 5)
     rows = tuple((name, tiny(1e3 * float(along[i])), tiny(1e3 * float(predicted[i]))) for name, i in zip(names, index, strict=True))
-    columns = (Column("Direction", numeric=False), Column("at rest"), Column("by the leak"))
+    columns = (Column("Direction", numeric=False), Column("at rest"), Column("predicted"))
     body: tuple[Block, ...] = (
         Equation(
-            'Lambda^(-1) P Lambda c != 0 quad "for" quad c = A^top', "the leak: an acceleration commanded across the constraint comes out along it"
+            'Lambda^(-1) P Lambda c != 0 quad "for" quad c = A^top',
+            "the leak: a commanded acceleration normal to the wall causes an acceleration along it",
         ),
         KeyFacts(
             (
-                Fact("Leak, dynamic", Number(sizes["dynamic"], "", 3), "sideways per unit across"),
-                Fact("Leak, selection", Number(sizes["selection"], "", 3), "sideways per unit across"),
+                Fact("Leak, dynamic", Number(sizes["dynamic"], "", 3), "tangential per unit normal"),
+                Fact("Leak, selection", Number(sizes["selection"], "", 3), "tangential per unit normal"),
             )
         ),
-        Table(f"Error along the free directions at rest, the wall {1e3 * shift:g} mm away.", columns, rows),
+        Table(f"Error in the free directions at rest, with the wall {1e3 * shift:g} mm behind the reference.", columns, rows),
     )
     left = projection(NORMAL, Lambda) @ (Lambda @ (KP * along) - rest.force)
-    body += (Paragraph("What is left between the columns is the wall's own force, whose direction the turned tool sees change."),)
+    body += (Paragraph("The remaining difference is due to the wall force, whose direction changes relative to the turned tool."),)
     checks = (at_most("balance at rest, P (Λ Kp X_e − F_tip)", 1e-8, float(np.abs(left).max()), "N"),)
     numbers = {"leak": leaks, "at_rest": along, "predicted": predicted}
-    return Section("An error across the constraint leaks: 9.24", finding, body, checks, numbers, SOURCES, key="hybrid-leak")
+    return Section("Leak of a normal error into the free directions: 9.24", finding, body, checks, numbers, SOURCES, key="hybrid-leak")

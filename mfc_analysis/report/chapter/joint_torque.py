@@ -32,8 +32,8 @@ from mfc_analysis.report.loops import blocks
 from mfc_analysis.report.loops.view import View
 from mfc_analysis.trajectories.joint import Hold
 
-OFFSET, LONG = 0.05, 3.0  #: [rad] start off the path; [s] of an open-loop run: the path, and a while at its end
-SIDES = (0.9, 1.1)  #: of the lower end of a gain interval, simulated
+OFFSET, LONG = 0.05, 3.0  #: [rad] initial error; [s] of an open-loop run: the path, then rest at its end
+SIDES = (0.9, 1.1)  #: fractions of the lower gain limit that are simulated
 
 
 def sections(designs: Designs | None = None) -> tuple[Section, ...]:
@@ -46,7 +46,7 @@ def sections(designs: Designs | None = None) -> tuple[Section, ...]:
 
 
 def independent(designs: Designs) -> Section:
-    """9.8: the decentralised design beside the coupled truth, and what the coupling costs each margin."""
+    """9.8: the decentralised design and the coupled arm, and the effect of the coupling on each margin."""
     views = [(arm, designs.view("9.8", arm)) for arm in arms()]
     pages = []
     for arm, view in views:
@@ -62,7 +62,7 @@ def independent(designs: Designs) -> Section:
             )
         )
     costs = [f"{arm.name}: {price(view)}" for arm, view in views if arm.robot.n > 1]
-    finding = ("Gains made joint by joint on ", Math("M_(j j)"), f", the others forgotten. What the coupling does: {'; '.join(costs)}.")
+    finding = ("The gains are designed joint by joint on ", Math("M_(j j)"), f", without the coupling. Effect of the coupling: {'; '.join(costs)}.")
     equation = Equation(designs.law("9.8", arms()[0]).typst, "independent joint PID control", "9.8")
     return Section("9.8 Independent joint PID", finding, (equation,), sections=tuple(pages), key="eq-9-8")
 
@@ -80,8 +80,8 @@ def limit_of_ki(view: View) -> Block:
         found.append(bool(other.linearize(view.times).stable.all()))
     facts = (
         Fact("Largest integral gain", Number(limit, "Nm/(rad s)"), "(b + kd)(kp + dg/dq)/I, the smallest along the path"),
-        Fact("Used", Number(ki, "Nm/(rad s)"), f"{written(100 * ki / limit)} % of it"),
-        Fact("At 0.99 and 1.01 of it", f"{'stable' if found[0] else 'unstable'}, {'stable' if found[1] else 'unstable'}", "by the poles"),
+        Fact("Used", Number(ki, "Nm/(rad s)"), f"{written(100 * ki / limit)} % of the limit"),
+        Fact("At 0.99 and 1.01 times the limit", f"{'stable' if found[0] else 'unstable'}, {'stable' if found[1] else 'unstable'}", "from the poles"),
     )
     return KeyFacts(facts)
 
@@ -90,7 +90,7 @@ def limit_of_ki(view: View) -> Block:
 
 
 def open_loop(designs: Designs) -> Section:
-    """9.9: feedforward only; the poles are the plant's own."""
+    """9.9: feedforward only; the poles are those of the plant."""
     pages, rows = [], []
     for arm in arms():
         view = designs.view("9.9", arm)
@@ -117,22 +117,19 @@ def open_loop(designs: Designs) -> Section:
                 off.t,
                 (plots.Panel("error [rad]", off.error, beside=on.error[: len(off.t)]),),
                 arm.robot.joint_names,
-                said=("started 0.05 rad off", "started on the path"),
+                said=("initial error 0.05 rad", "no initial error"),
             ),
-            f"Open loop: from {written(OFFSET, exact=True)} rad off the path the error reaches {written(grown)} rad, from the path itself"
+            f"Open loop: with an initial error of {written(OFFSET, exact=True)} rad the error reaches {written(grown)} rad, without it"
             f" {written(own)} rad.",
             f"Errors of {view.name}: up to {written(grown)} rad.",
         )
         said = (
-            f"The poles are the arm's own, the rightmost at {written(right)} 1/s: from {written(OFFSET, exact=True)} rad off the path the largest"
-            f" error in {written(LONG, exact=True)} s is {written(grown)} rad"
+            f"The poles are those of the arm, the rightmost at {written(right)} 1/s. With an initial error of {written(OFFSET, exact=True)} "
+            f"rad the largest error in {written(LONG, exact=True)} s is {written(grown)} rad"
             + (
                 "."
                 if arm.exact
-                else (
-                    f"; with {written(PAYLOAD, exact=True)} kg that the feedforward doesn't know of it reaches {written(own)} rad even from a perfect"
-                    " start."
-                )
+                else (f"; with an unknown payload of {written(PAYLOAD, exact=True)} kg it reaches {written(own)} rad even without an initial error.")
             )
         )
         pages.append(
@@ -150,16 +147,16 @@ def open_loop(designs: Designs) -> Section:
     columns = (
         Column("Arm", numeric=False),
         Column("Rightmost pole", "1/s"),
-        Column("Error doubles in", "s"),
-        Column("Error from the path", "rad"),
-        Column("from 0.05 rad off", "rad"),
-        Column("grows by", "times"),
+        Column("Doubling time", "s"),
+        Column("Error, no initial error", "rad"),
+        Column("Error from 0.05 rad", "rad"),
+        Column("Growth", "times"),
     )
-    table = Table(f"Feedforward alone, for {LONG:g} s: along the path, and on at its end.", columns, tuple(rows))
+    table = Table(f"Feedforward only, {LONG:g} s: along the path, then at rest at its end.", columns, tuple(rows))
     equation = Equation(designs.law("9.9", arms()[0]).typst, "feedforward torque", "9.9")
     finding = (
-        "Nothing is fed back: the loop is the arm, and where gravity pulls a link away from upright it runs off. These loops are here to show that;"
-        " their failed checks are not counted in the verdict of the document."
+        "There is no feedback: the poles are those of the arm, and the error grows where gravity destabilises a link. These loops are for "
+        "demonstration; their failed checks do not count in the verdict of the report."
     )
     return Section("9.9 Torque feedforward: open loop", finding, (equation, table), sections=tuple(pages), key="eq-9-9")
 
@@ -168,7 +165,7 @@ def open_loop(designs: Designs) -> Section:
 
 
 def computed_torque(designs: Designs) -> Section:
-    """9.10 and 9.12: exact and wrong model; the torque loop beside the command loop."""
+    """9.10 and 9.12: exact and wrong model; the loop opened at the torque and at the command."""
     pages = []
     for arm in arms():
         view = designs.view("9.10", arm)
@@ -189,7 +186,7 @@ def computed_torque(designs: Designs) -> Section:
 
 
 def _exactness(designs: Designs) -> str:
-    """How near the exact loops are to their design polynomial, and what the unknown payload does."""
+    """Deviation of the exact loops from the design polynomial, and the effect of the unknown payload."""
     off = []
     for arm in (a for a in arms() if a.exact):
         lin = designs.loop("9.10", arm).linearize(arm.times)
@@ -197,9 +194,9 @@ def _exactness(designs: Designs) -> str:
     arm = arms()[-1]
     root = designs.view("9.10", arm).evidence.slowest_root().value
     return (
-        "With an exact model nothing but the design polynomial is left: the characteristic polynomials of the two exact arms differ from it by"
-        f" {written(max(off))} of its largest coefficient. With {written(PAYLOAD, exact=True)} kg unknown in its hand the UR5's rightmost root lies"
-        f" at {written(root)} 1/s, where {written(-arm.speed, exact=True)} 1/s was designed."
+        "With an exact model, the characteristic polynomial is the design polynomial: for the two exact arms they differ by"
+        f" {written(max(off))} of the largest coefficient. With an unknown payload of {written(PAYLOAD, exact=True)} kg the UR5's rightmost pole is"
+        f" at {written(root)} 1/s instead of the designed {written(-arm.speed, exact=True)} 1/s."
     )
 
 
@@ -219,7 +216,7 @@ def design_polynomial(designs: Designs, arm: Arm) -> Array:
 
 
 def two_points(view: View) -> tuple[Block, ...]:
-    """The loop opened at the torque and at the acceleration command: two answers to two questions."""
+    """Margins of the loop opened at the torque and at the acceleration command."""
     if not view.stable:
         return ()
     torque, command = view.margins, view.lin.margins("command")
@@ -230,14 +227,14 @@ def two_points(view: View) -> tuple[Block, ...]:
             (
                 name,
                 Number(w.phase_deg[0], infinite="no crossover"),
-                Number(float(-decibels(w.gain_reduction[0])), infinite="any"),
-                Number(float(decibels(w.gain_increase[0])), infinite="any"),
-                Number(w.delay[0] * 1e3, infinite="any"),
+                Number(float(-decibels(w.gain_reduction[0])), infinite="unlimited"),
+                Number(float(decibels(w.gain_increase[0])), infinite="unlimited"),
+                Number(w.delay[0] * 1e3, infinite="unlimited"),
                 Number(w.sensitivity_peak[0]),
             )
         )
     columns = (
-        Column("Opened at", numeric=False),
+        Column("Analysis point", numeric=False),
         Column("Phase", "°"),
         Column("Gain down", "dB"),
         Column("Gain up", "dB"),
@@ -246,11 +243,11 @@ def two_points(view: View) -> tuple[Block, ...]:
     )
     gap = float(torque.phase_deg.min() - command.phase_deg.min())
     why = (
-        f"At the acceleration command the loop is the PID's own on a double integrator ({written(float(command.phase_deg.min()))}°). At the torque"
-        " the terms that cancel gravity and coupling are inside the loop as well: it is what one motor amplifier sees, and its phase margin differs"
+        f"At the acceleration command, the open loop is the PID with a double integrator ({written(float(command.phase_deg.min()))}°). At the torque,"
+        " it also contains the terms that cancel gravity and coupling: this is the loop through one motor amplifier. Its phase margin differs"
         f" by {written(gap)}°."
     )
-    return (Table("The same loop opened at two points, worst along the path.", columns, tuple(rows)), Paragraph(why))
+    return (Table("The same loop at two analysis points, smallest margins along the path.", columns, tuple(rows)), Paragraph(why))
 
 
 def _points_numbers(view: View) -> dict[str, object]:
@@ -264,13 +261,13 @@ def _points_numbers(view: View) -> dict[str, object]:
 
 
 def wrong_model(designs: Designs, arm: Arm, view: View) -> tuple[Block, ...]:
-    """Each joint with the exact model and with the payload unknown: what the wrong model costs each margin."""
+    """Margins of each joint with the exact model and with the unknown payload."""
     exact = View("exact", ClosedLoop(arm.robot, designs.law("9.10", arm), arm.ref), arm.times)
     return (
         margins_table(
             exact,
             view,
-            f"The controller that knows of the {written(PAYLOAD, exact=True)} kg beside the one that doesn't, each joint's worst along the path.",
+            f"Controller with and without the {written(PAYLOAD, exact=True)} kg in its model: smallest margins of each joint along the path.",
         ),
     )
 
@@ -284,8 +281,8 @@ def margins_table(first: View, second: View, caption: str) -> Table:
             (
                 name,
                 *(Number(float(x.phase_deg[:, j].min()), undefined="unstable", infinite="no crossover") for x in (a, b)),
-                *(Number(float(-decibels(x.gain_reduction[:, j]).max()), undefined="unstable", infinite="any") for x in (a, b)),
-                *(Number(float(x.delay[:, j].min()) * 1e3, undefined="unstable", infinite="any") for x in (a, b)),
+                *(Number(float(-decibels(x.gain_reduction[:, j]).max()), undefined="unstable", infinite="unlimited") for x in (a, b)),
+                *(Number(float(x.delay[:, j].min()) * 1e3, undefined="unstable", infinite="unlimited") for x in (a, b)),
                 *(Number(float(x.sensitivity_peak[:, j].max()), undefined="unstable") for x in (a, b)),
             )
         )
@@ -307,7 +304,7 @@ def margins_table(first: View, second: View, caption: str) -> Table:
 
 
 def conditional(designs: Designs) -> Section:
-    """9.12's gain interval has a lower end: 1/9 for a triple pole; both sides of it simulated."""
+    """9.12 has a lower gain limit: 1/9 for a triple pole; simulated on both sides."""
     arm = arms()[0]
     w = arm.speed
     kp, ki, kd = triple_pole(w)
@@ -326,17 +323,17 @@ def conditional(designs: Designs) -> Section:
     words = ("grows" if growth[0] > 1 else "decays", "grows" if growth[1] > 1 else "decays")
     figure = Figure(
         partial(plots.traces, t, (plots.Panel("error [rad]", np.column_stack(runs)),), tuple(f"{s:g} × {written(low)}" for s in SIDES)),
-        f"The nonlinear joint from 0.1 rad off, all three gains multiplied by {SIDES[0]:g} and {SIDES[1]:g} times the lower end: the error {words[0]}"
-        f" and {words[1]}.",
+        f"The nonlinear joint, initial error 0.1 rad, all three gains at {SIDES[0]:g} and {SIDES[1]:g} times the lower limit: the error {words[0]}"
+        f" and {words[1]}, respectively.",
         f"Errors against time: amplitude in the last second over that in the first {written(growth[0])} and {written(growth[1])}.",
     )
     finding = (
-        f"kp = 3w², ki = w³, kd = 3w put all three poles at −{written(w, exact=True)} 1/s, and the loop is stable only for gains above"
-        f" {written(low, 4)} = 1/{written(1 / low, 4)} of these: turning the gain down makes it unstable. Simulated at {SIDES[0]:g} and {SIDES[1]:g}"
-        f" of that end the error {words[0]} and {words[1]}."
+        f"With kp = 3w², ki = w³, kd = 3w all three poles are at −{written(w, exact=True)} 1/s. The loop is stable only for gains above"
+        f" {written(low, 4)} = 1/{written(1 / low, 4)} of these: reducing the gain makes it unstable. In simulation at {SIDES[0]:g} and {SIDES[1]:g}"
+        f" times this limit, the error {words[0]} and {words[1]}, respectively."
     )
     return Section(
-        "9.12 Conditional stability: a gain that must not be turned down",
+        "9.12 Conditional stability: a lower gain limit",
         finding,
         (*blocks.frequency_figures(view), figure),
         numbers={
@@ -355,7 +352,7 @@ def conditional(designs: Designs) -> Section:
 
 
 def inverse_dynamics(designs: Designs) -> Section:
-    """9.11 and 9.13: what is left is a double integrator; what a wrong payload couples."""
+    """9.11 and 9.13: the double integrator, and the coupling due to an unknown payload."""
     pages = []
     for arm in arms():
         view = designs.view("9.11", arm)
@@ -367,7 +364,7 @@ def inverse_dynamics(designs: Designs) -> Section:
                 margins_table(
                     known,
                     view,
-                    "n decoupled double integrators (exact model) beside the arm with the unknown payload, each joint's worst along the path.",
+                    "Decoupled double integrators (exact model) and the arm with the unknown payload: smallest margins of each joint along the path.",
                 ),
             )
             more["exact_phase_deg"] = known.margins.phase_deg.min(axis=0)
@@ -379,9 +376,9 @@ def inverse_dynamics(designs: Designs) -> Section:
     change = exact - true
     j = int(np.nanargmax(np.abs(change))) if np.isfinite(change).any() else 0
     finding = (
-        f"Seen from the command, the exact arms are n separate integrators 1/s² to within {written(max(gaps[:-1]))} of their response. With the"
-        f" unknown payload the UR5 is not ({written(gaps[-1])}), and the phase margins of its joints, all {per_joint(exact)}° by design, become"
-        f" {per_joint(true)}° (the largest change {written(float(change[j]))}°, {arms()[-1].robot.joint_names[j]})."
+        f"From the command, the exact arms are decoupled double integrators 1/s² to a relative error of {written(max(gaps[:-1]))}. With the"
+        f" unknown payload the error of the UR5 is {written(gaps[-1])}, and the phase margins of its joints, all {per_joint(exact)}° by "
+        f"design, become {per_joint(true)}° (largest change {written(float(change[j]))}°, {arms()[-1].robot.joint_names[j]})."
     )
     equations = (
         Equation(designs.law("9.11", arms()[0]).typst, "inverse dynamics", "9.11"),
@@ -391,7 +388,7 @@ def inverse_dynamics(designs: Designs) -> Section:
 
 
 def double_integrator_gap(view: View) -> float:
-    """Largest departure of the loops at the command from the PD on a double integrator, relative, over times, joints and five frequencies."""
+    """Largest relative deviation of the loops at the command from the PD with a double integrator, over times, joints and five frequencies."""
     found = view.loop.law.gains()
     n = view.loop.robot.n
     kp, kd = (np.diag(found[name].matrix(n))[:, None] for name in ("kp", "kd"))

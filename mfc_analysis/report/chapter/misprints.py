@@ -1,4 +1,4 @@
-"""What the misprints of the joint-space equations cost: 9.1, 9.3, 9.9, 9.10 and 9.12, as printed beside the standard form."""
+"""The effect of the misprints in the joint-space equations: 9.1, 9.3, 9.9, 9.10 and 9.12, as printed and in standard form."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from mfc_analysis.report.loops.view import View, place_words
 from mfc_analysis.requirements.line import Status
 from mfc_analysis.trajectories.joint import Hold
 
-OFFSET = 0.05  #: [rad] start off the path of each comparison
+OFFSET = 0.05  #: [rad] initial error of each comparison
 UPRIGHT = (np.pi / 2, 0.0)  #: [rad] the two-link arm standing on its base
-SLOW = 0.8  #: of the slowest triple pole that the printed form of 9.12 bears
+SLOW = 0.8  #: fraction of the slowest triple pole for which the printed form of 9.12 is stable
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Form:
 
     @property
     def status(self) -> Status:
-        """Whether the loop itself is stable, whatever margins one might ask for; INFO where nothing is fed back."""
+        """Whether the loop is stable, regardless of its margins; INFO without feedback."""
         line = self.view.verdict.line("stable")
         return Status(line.status.value)
 
@@ -77,8 +77,8 @@ def sections(designs: Designs | None = None) -> tuple[Section, ...]:
     inner = (velocity_feedforward(given), velocity_pi(given), torque_feedforward(given), computed_torque(given), triple(given))
     missed = [s.title for s in inner if s.numbers["standard"]["stable"] and not s.numbers["printed"]["stable"]]
     turned = f"{', '.join(missed)}: the misprint makes a stable loop unstable" if missed else "none makes a stable loop unstable"
-    finding = f"Of {len(inner)} misprints in the joint-space equations: {turned}. What the others cost stands with each of them, in numbers."
-    return (Section("What the misprints of the joint-space equations cost", finding, sections=inner, key="misprints"),)
+    finding = f"Of {len(inner)} misprints in the joint-space equations: {turned}. Each section gives the effect in numbers."
+    return (Section("Effect of the misprints in the joint-space equations", finding, sections=inner, key="misprints"),)
 
 
 def _section(equation: str, what: str, arm: Arm, printed: Form, standard: Form, cost: str, more: str = "") -> Section:
@@ -87,7 +87,7 @@ def _section(equation: str, what: str, arm: Arm, printed: Form, standard: Form, 
     a, b = standard.run.error[: len(t)], printed.run.error[: len(t)]
     figure = Figure(
         partial(plots.traces, t, (plots.Panel("error [rad]", a, beside=b),), arm.robot.joint_names, said=("standard", "as printed")),
-        f"The nonlinear {arm.name} on its path from {written(OFFSET, exact=True)} rad off it: largest error {written(standard.largest)} rad in the"
+        f"The nonlinear {arm.name} on its path, initial error {written(OFFSET, exact=True)} rad: largest error {written(standard.largest)} rad in the"
         f" standard form, {written(printed.largest)} rad as printed.",
         f"Errors of both forms of {equation}: at most {written(standard.largest)} rad (standard) and {written(printed.largest)} rad (printed).",
     )
@@ -105,7 +105,7 @@ def _section(equation: str, what: str, arm: Arm, printed: Form, standard: Form, 
 def _side(form: Form) -> Side:
     m = form.view.margins
     w, worst = form.view.margins.worst(), form.view.worst
-    without = "unstable" if form.rightmost > 1e-9 else "none: no feedback"
+    without = "unstable" if form.rightmost > 1e-9 else "no feedback"
     facts = KeyFacts(
         (
             Fact("Rightmost pole", Number(form.rightmost, "1/s")),
@@ -114,7 +114,7 @@ def _side(form: Form) -> Side:
                 Number(form.phase, "°", infinite="no crossover", undefined=without),
                 place_words(w.phase_deg[2], w.phase_deg[1], len(m.times)) if np.isfinite(form.phase) else "",
             ),
-            Fact("Gain may fall by", Number(float(-decibels(m.gain_reduction.max())), "dB", infinite="any amount", undefined=without)),
+            Fact("Gain margin, down", Number(float(-decibels(m.gain_reduction.max())), "dB", infinite="unlimited", undefined=without)),
             Fact("Largest error", Number(form.largest, "rad")),
         )
     )
@@ -140,7 +140,7 @@ def _two(designs: Designs, equation: str, arm: Arm, sources: tuple[str, str], la
 
 
 def _times(a: float, b: float) -> str:
-    """a against b in words: how many times as large."""
+    """The ratio of a to b as text."""
     if not np.isfinite(a) or not np.isfinite(b) or b == 0:
         return f"{written(a)} instead of {written(b)}"
     ratio = a / b
@@ -149,7 +149,7 @@ def _times(a: float, b: float) -> str:
 
 
 def velocity_feedforward(designs: Designs) -> Section:
-    """9.1: prints q_d for its derivative: the joint moves at the speed of its own angle."""
+    """9.1: prints q_d instead of its derivative; the joint velocity is the desired angle."""
     arm = arms()[0]
     loop = designs.loop("9.1", arm)
     t = np.linspace(0.0, 4.0, 201)
@@ -160,11 +160,11 @@ def velocity_feedforward(designs: Designs) -> Section:
     printed = _form("As printed", "u = q_d", loop, arm, printed_run)
     standard = _form("Standard", "u = dot(q)_d", loop, arm)
     cost = (
-        f"The position wanted is commanded as a velocity: after 4 s the joint is {written(printed.last)} rad away instead of {written(standard.last)}"
-        f" rad (the {written(OFFSET, exact=True)} rad it started with), and the two sides of the equation don't even have the same unit. The poles"
-        " are the same, for neither form feeds anything back."
+        f"The desired position is commanded as a velocity: after 4 s the error is {written(printed.last)} rad instead of {written(standard.last)}"
+        f" rad (initial error {written(OFFSET, exact=True)} rad). The two sides of the equation have different units. The poles"
+        " are the same because neither form has feedback."
     )
-    return _section("9.1", "The page prints the desired position where its derivative is meant.", arm, printed, standard, cost)
+    return _section("9.1", "The page prints the desired position instead of its derivative.", arm, printed, standard, cost)
 
 
 def velocity_pi(designs: Designs) -> Section:
@@ -175,26 +175,28 @@ def velocity_pi(designs: Designs) -> Section:
     ki = float(designs.law("9.3", arm).gains()["ki"].matrix(1)[0, 0])
     slow = printed.rightmost / standard.rightmost
     cost = (
-        f"The integral gain is 1 1/s² whatever one meant (here {written(ki, exact=True)}): the slowest pole moves from {written(standard.rightmost)}"
-        f" to {written(printed.rightmost)} 1/s, so that errors take {written(1 / slow)} times as long to die out; the phase margin goes from"
+        f"The integral gain is 1 1/s² instead of the intended {written(ki, exact=True)} 1/s²: the slowest pole moves from "
+        f"{written(standard.rightmost)}"
+        f" to {written(printed.rightmost)} 1/s, errors take {written(1 / slow)} times as long to decay, and the phase margin changes from"
         f" {written(standard.phase)}° to {written(printed.phase)}°."
     )
     return _section("9.3", "The page prints the integral of the error without K_i, as if K_i were the identity.", arm, printed, standard, cost)
 
 
 def torque_feedforward(designs: Designs) -> Section:
-    """9.9: prints the acceleration of the error for the desired one: the inertia doubles."""
+    """9.9: prints the acceleration of the error instead of the desired one; the inertia doubles."""
     arm = arms()[0]
     sources = ("tau = hat(M)(q_d) dot.double(e) + hat(h)(q_d, dot(q)_d)", "tau = hat(M)(q_d) dot.double(q)_d + hat(h)(q_d, dot(q)_d)")
     printed, standard = _two(designs, "9.9", arm, sources)
     inertia = float(arm.robot.mass(arm.ref(0.0).q)[0, 0])
-    hurt = f"the path's own error (from a start {written(OFFSET, exact=True)} rad off) is {_times(printed.largest, standard.largest)}"
+    hurt = f"the largest error on the path (initial error {written(OFFSET, exact=True)} rad) is {_times(printed.largest, standard.largest)}"
     cost = (
-        f"The torque subtracts M̂ q″: the joint feels {written(2 * inertia)} instead of {written(inertia)} kg m², its rightmost pole moves from"
-        f" {written(standard.rightmost)} to {written(printed.rightmost)} 1/s, and {hurt}. It also asks for the acceleration that it is about to"
-        " cause, an algebraic loop that no controller can run."
+        f"The torque subtracts M̂ q″: the effective inertia is {written(2 * inertia)} instead of {written(inertia)} kg m², the rightmost "
+        "pole moves from"
+        f" {written(standard.rightmost)} to {written(printed.rightmost)} 1/s, and {hurt}. The torque also depends on the acceleration that it"
+        " causes: an algebraic loop that cannot be implemented."
     )
-    return _section("9.9", "The page prints the acceleration of the error where the desired acceleration is meant.", arm, printed, standard, cost)
+    return _section("9.9", "The page prints the acceleration of the error instead of the desired acceleration.", arm, printed, standard, cost)
 
 
 def computed_torque(designs: Designs) -> Section:
@@ -203,7 +205,7 @@ def computed_torque(designs: Designs) -> Section:
     printed, standard = _two(designs, "9.10", arm, _computed("tau"))
     return _section(
         "9.10",
-        "The page evaluates gravity and Coriolis terms where the arm should be, (q_d, v_d), not where it is.",
+        "The page evaluates the gravity and Coriolis terms at the desired state (q_d, v_d) instead of the measured state.",
         arm,
         printed,
         standard,
@@ -212,7 +214,7 @@ def computed_torque(designs: Designs) -> Section:
 
 
 def triple(designs: Designs) -> Section:
-    """9.12: the same misprint under the triple pole, on the two-link arm held upright: below some speed the gains no longer hold it."""
+    """9.12: the same misprint under the triple pole, on the two-link arm held upright: unstable with slow gains."""
     arm = replace(arms()[1], name="planar 2R, upright", ref=Hold(UPRIGHT))
     limit = slowest_printed(arm)
     w = SLOW * limit
@@ -225,15 +227,15 @@ def triple(designs: Designs) -> Section:
             speeds,
             (("as printed", roots[0]), ("standard", roots[1])),
             xlabel="w [rad/s]",
-            ylabel="rightmost root / w [-]",
+            ylabel="rightmost pole / w [-]",
             log="x",
             limit=0.0,
         ),
-        f"Rightmost root over the speed of the design, triple pole at −w: −1 in the standard form, unstable as printed below {written(limit)} rad/s.",
-        f"Rightmost root over w: the printed form is unstable below {written(limit)} rad/s.",
+        f"Rightmost pole over the design speed, triple pole at −w: −1 in the standard form; as printed, unstable below {written(limit)} rad/s.",
+        f"Rightmost pole over w: the printed form is unstable below {written(limit)} rad/s.",
     )
     cost = (
-        f"Upright, where gravity pulls the arm over, the printed form is unstable for every triple pole slower than {written(limit)} rad/s, the"
+        f"In the upright pose, gravity is destabilising. The printed form is unstable for every triple pole slower than {written(limit)} rad/s, the"
         f" standard form for none. At {written(w)} rad/s: " + _cost(printed, standard)
     )
     found = _section(
@@ -266,18 +268,18 @@ def slowest_printed(arm: Arm) -> float:
 
 
 def _cost(printed: Form, standard: Form) -> str:
-    phase = "none (unstable)" if np.isnan(printed.phase) else f"{written(printed.phase)}°"
+    phase = "undefined (unstable)" if np.isnan(printed.phase) else f"{written(printed.phase)}°"
     moved = (
         f"the rightmost pole moves from {written(standard.rightmost)} to {written(printed.rightmost)} 1/s, the smallest phase margin from"
         f" {written(standard.phase)}° to {phase}"
     )
     if printed.rightmost > 0:
         return (
-            f"dh/dq and dh/dv stay in the loop, {moved}, and from {written(OFFSET, exact=True)} rad off the path the error reaches"
+            f"dh/dq and dh/dv stay in the loop, {moved}, and with an initial error of {written(OFFSET, exact=True)} rad the error reaches"
             f" {_times(printed.largest, standard.largest)}."
         )
     down = [float(-decibels(x.view.margins.gain_reduction.max())) for x in (standard, printed)]
     return (
-        f"dh/dq and dh/dv stay in the loop: {moved}, and the gain may fall by {written(down[1])} instead of {written(down[0])} dB; a 4 s run from"
-        f" {written(OFFSET, exact=True)} rad off the path has a largest error of {_times(printed.largest, standard.largest)}."
+        f"dh/dq and dh/dv stay in the loop: {moved}, and the lower gain margin is {written(down[1])} instead of {written(down[0])} dB; in a "
+        f"4 s run with an initial error of {written(OFFSET, exact=True)} rad the largest error is {_times(printed.largest, standard.largest)}."
     )

@@ -1,4 +1,4 @@
-"""The page of one loop within a chapter: its verdict, three numbers, frequency response, poles, and the linear model against the nonlinear loop."""
+"""The page of one loop within a chapter: verdict, key metrics, frequency response, poles, and the comparison with the nonlinear simulation."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def loop_page(
     """The section of one loop.
 
     Args:
-        title: of the section; omitted: the loop's name. shown: why a loop that is not for use stands here; its verdict is told and not counted.
+        title: of the section; omitted: the loop's name. shown: why a loop is shown for demonstration only; its verdict does not count.
         path: margins along the path; moving: the scrubber; frequency: Bode and poles; compare: the nonlinear loop.
-        finding: the answer; omitted: made from the verdict. before, after: blocks around the figures. more: numbers for JSON.
+        finding: omitted: made from the verdict. before, after: blocks around the figures. more: numbers for JSON.
     """
     body: list[Block] = [blocks.three_numbers(view), *before]
     notes = [line.note for line in view.verdict.lines if line.note and line.name in ("stable", "residual") and line is not view.verdict.worst]
@@ -70,7 +70,7 @@ def loop_page(
 
 
 def figure_wanted(found: Validation) -> bool:
-    """A drawing of a comparison that is exact to rounding shows nothing."""
+    """Whether the comparison needs a figure: not if both results agree to rounding."""
     return bool(found.nrmse > 1e-6)
 
 
@@ -79,4 +79,4 @@ def _said(view: View, found: Validation) -> Block:
 
     units = sorted(set(view.loop.robot.joint_units))
     said = blocks.validation_words(found, units[0] if len(units) == 1 else "rad, m")
-    return Paragraph(f"Against the nonlinear loop: {said}.")
+    return Paragraph(f"Comparison with the nonlinear simulation: {said}.")

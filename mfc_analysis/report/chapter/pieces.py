@@ -1,4 +1,4 @@
-"""What several sections are made of: checks from a number and a limit, response figures of one channel, tables of poles."""
+"""Parts shared by several sections: checks of a number against a limit, response figures of one channel, tables of poles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SICILIANO = "Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Plannin
 def at_most(name: str, asked: float, found: float, unit: str = "", where: str = "", when: float | None = None) -> Line:
     """A check that ``found`` is not above ``asked``; a NaN fails."""
     status = Status.PASS if found <= asked else Status.FAIL
-    return Line(name, asked, found, unit, asked - found, status, where, when, "≤", "infinite", "not defined")
+    return Line(name, asked, found, unit, asked - found, status, where, when, "≤", "unlimited", "not defined")
 
 
 def at_least(name: str, asked: float, found: float, unit: str = "", where: str = "", when: float | None = None) -> Line:
@@ -38,7 +38,7 @@ def at_least(name: str, asked: float, found: float, unit: str = "", where: str =
 
 def agreement(what: str, found: float, expected: float, percent: float) -> Line:
     """A check that a number differs from its closed form by at most ``percent`` [%] of that."""
-    return at_most("departure from theory", percent, 100 * abs(found - expected) / abs(expected), "%", what)
+    return at_most("deviation from theory", percent, 100 * abs(found - expected) / abs(expected), "%", what)
 
 
 def verdict_of(stable: bool, drifts: bool = False) -> Status:
@@ -52,7 +52,7 @@ def in_words(stable: bool, drifts: bool = False) -> str:
 
 
 def response(lin: Linearization, at: str, channel: int, name: str, index: int = 0, span: tuple[float, float] = (1e-1, 1e4)) -> Row:
-    """Bode and Nyquist figures of one channel of a linearised loop, its margins drawn on the curve."""
+    """Bode and Nyquist figures of one channel of a linearised loop, with its margins marked."""
     w = np.geomspace(*span, 240)
     here = lin if len(lin) == 1 else lin.again(lin.times[[index]])
     L = here.frequency_response(w, at)[0, channel]
@@ -68,26 +68,26 @@ def response(lin: Linearization, at: str, channel: int, name: str, index: int = 
     )
     nyquist = Figure(
         partial(plots.nyquist, w, L, sensitivity_peak=peak, **known, index=channel),
-        f"{name}: Nyquist curve and disc of radius 1/Ms.",
+        f"{name}: Nyquist curve and disk of radius 1/Ms.",
         f"Nyquist plot of {name}: {said}.",
     )
     return Row((bode, nyquist))
 
 
 def pole_map(values: Complex, name: str, path: Complex | None = None) -> Figure:
-    """The poles (nx,) in the plane; ``path`` (m, nx): where else they are."""
+    """The poles (nx,) in the plane; ``path`` (m, nx): the poles at other operating points."""
     kept = np.asarray(values)[np.abs(values) > 0]
     rightmost = float(kept.real.max()) if kept.size else math.nan
     others = None if path is None else path[np.abs(path) > 0]
     return Figure(
         partial(plots.poles, kept, path=others),
         f"Poles of {name}.",
-        f"Pole map of {name}: rightmost pole that is not at zero {written(rightmost)} per second.",
+        f"Pole map of {name}: rightmost nonzero pole {written(rightmost)} per second.",
     )
 
 
 def poles_table(rows: Sequence[tuple[str, Complex]], count: int, caption: str) -> Table:
-    """One loop a row, its ``count`` slowest poles that are not at zero, one of each pair."""
+    """One row per loop: its ``count`` slowest nonzero poles, one of each pair."""
     columns = (Column("Loop", numeric=False), *(Column(f"Pole {i + 1}", "1/s") for i in range(count)))
     out: list[tuple[Cell, ...]] = []
     for name, values in rows:
@@ -97,12 +97,12 @@ def poles_table(rows: Sequence[tuple[str, Complex]], count: int, caption: str) -
 
 
 def validated(loop: ClosedLoop, time: float) -> dict[str, float]:
-    """Linear against nonlinear over ``time`` [s], for the chapter's table: misfit, reach and Taylor order."""
+    """Linear model compared with nonlinear simulation over ``time`` [s]: model error, range of validity and Taylor order."""
     found = loop.validate(time=time)
     return {"nrmse": found.nrmse, "radius": found.radius, "taylor_order": found.taylor_order}
 
 
 def slowest(values: Complex) -> complex:
-    """The rightmost pole that is not at zero."""
+    """The rightmost nonzero pole."""
     kept = np.asarray(values)[np.abs(values) > 0]
     return complex(kept[int(np.argmax(kept.real))])

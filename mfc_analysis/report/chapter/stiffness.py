@@ -1,4 +1,4 @@
-"""Force loops against stiffness: poles, margins and root locus over 1e2..1e6 N/m, and maps of stiffness x gain with simulated points."""
+"""Force loops over stiffness: poles, margins and root locus over 1e2..1e6 N/m, and maps of stiffness x gain with simulated points."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def mapped(make: Callable[[float, float], ClosedLoop], values: Array, at: tuple[
 
 
 def ideal_section() -> Section:
-    """Without lag stiffness decides nothing: the boundary is a number of the gains alone."""
+    """Without lag the stability boundary depends on the gains only, not on the stiffness."""
     limit = KDAMP * (1 + KFP) / MASS
     gains = np.geomspace(limit / 10, limit * 10, 25)
 
@@ -81,15 +81,15 @@ def ideal_section() -> Section:
     found = mapped(make, gains, tuple((k, limit * f) for k in (2e4,) for f in (1 / ASIDE, ASIDE)), np.array([1e-3]))
     edges = np.array([edge(found.map.values, found.map.growth[:, j]) for j in range(len(SPAN))])
     finding: Text = (
-        "An ideal loop does not care about stiffness: from 100 N/m to 1 MN/m it is lost at an integral gain between ",
-        f"{written(float(edges.min()))} and {written(float(edges.max()))} 1/s, where ",
+        "The stability of the ideal loop does not depend on the stiffness: from 100 N/m to 1 MN/m the largest integral gain is ",
+        f"{written(float(edges.min()))} to {written(float(edges.max()))} 1/s; the closed form is ",
         Math('(b + k_"damp")(1 + k_"fp") slash m'),
         f" = {written(limit)} 1/s.",
     )
     body = (
         Equation('m s^3 + (b + k_"damp") s^2 + k_e (1 + k_"fp") s + k_e k_"fi" = 0 quad "stable iff" quad (b + k_"damp")(1 + k_"fp") > m k_"fi"',
                  "characteristic polynomial of the ideal loop and its Routh bound, in which the stiffness cancels", "9.23"),
-        found.figure("kfi [1/s]", "One mass, no lag", f"the boundary is flat at kfi = {written(limit)} 1/s"),
+        found.figure("kfi [1/s]", "One mass, no lag", f"the boundary is at kfi = {written(limit)} 1/s for every stiffness"),
     )  # fmt: skip
     checks = (agreement("boundary at 1 MN/m", float(edges[-1]), limit, 1.0), found.check())
     numbers = {"limit": limit, "edges": edges, "stiffness": SPAN, "points": found.points}
@@ -112,7 +112,7 @@ def closed_form(kfp: float) -> float:
 
 
 def lag_section() -> Section:
-    """With lag, delay and filter stiffness decides: two maps, the boundary against the closed form."""
+    """With lag, delay and filter the boundary depends on the stiffness: two maps, and the closed form."""
     gains = np.geomspace(0.1, 10, 21)
     kick = np.array([1e-3])
     limit = stable_up_to(slider_loop(hardware=LAGGED))
@@ -126,8 +126,8 @@ def lag_section() -> Section:
     real = mapped(late, gains[::3], ((real_limit / ASIDE, KFP), (real_limit * ASIDE, KFP)), kick, SPAN[::4])
     wanted = closed_form(KFP)
     finding = (
-        f"A torque lag of 2 ms makes stiffness decide: with kfp = {KFP:g} the loop is stable up to {written(limit / 1e3)} kN/m "
-        f"(closed form {written(wanted / 1e3)}); 1 ms of dead time and a force filter of 2 ms bring that down to {written(real_limit / 1e3)} kN/m."
+        f"With a torque lag of 2 ms and kfp = {KFP:g}, the loop is stable up to {written(limit / 1e3)} kN/m "
+        f"(closed form {written(wanted / 1e3)}). 1 ms of dead time and a force filter of 2 ms reduce this limit to {written(real_limit / 1e3)} kN/m."
     )
     body = (
         Equation('k_e < (k_"damp" (1 + k_"fp") - m k_"fi") / (T k_"fp" (1 + k_"fp"))', "largest stable stiffness with a torque lag", "9.23"),
@@ -189,7 +189,7 @@ def arm_section() -> Section:
     always = bool(ideal.stable.all())
     finding = (
         f"The UR5 pressing under 9.23 is stable up to {written(limit / 1e3)} kN/m with a torque lag and a force filter of 2 ms each, and up to "
-        f"{written(late_limit / 1e3)} kN/m with 1 ms of dead time besides; the ideal loop is {'stable' if always else 'not stable'} "
+        f"{written(late_limit / 1e3)} kN/m with an additional 1 ms of dead time; the ideal loop is {'stable' if always else 'not stable'} "
         "from 0.1 kN/m to 1 MN/m."
     )
     worst = int(np.argmin(np.abs(SPAN - limit)))
@@ -203,8 +203,8 @@ def arm_section() -> Section:
         ),
         Callout(
             Status.INFO,
-            "Why hard surfaces chatter",
-            "Torque that arrives late pushes along with the velocity once the contact resonates faster than the lag; an ideal loop loses no phase.",
+            "Why stiff surfaces cause chatter",
+            "A late torque acts in phase with the velocity once the contact resonance is faster than the lag. An ideal loop loses no phase.",
         ),
     )
     numbers = {
@@ -215,4 +215,4 @@ def arm_section() -> Section:
         "growth_ideal": ideal.growth,
         "points": found.points,
     }
-    return Section("The UR5 against stiffness", finding, body, (found.check(),), numbers, SOURCES, key="stiffness-arm")
+    return Section("The UR5 over stiffness", finding, body, (found.check(),), numbers, SOURCES, key="stiffness-arm")

@@ -21,7 +21,9 @@ from mfc_analysis.requirements.requirements import Requirements
 from mfc_analysis.trajectories import ToolHold, ToolSinusoid, from_tool_path
 
 SOURCES = (LYNCH, SICILIANO)
-FAR = np.array([-0.04, -1.25, 1.5, -2.16, -0.7, 2.19])  #: [rad] a pose 2.3 rad and 0.32 m away from the one asked for, with a regular path to it
+FAR = np.array(
+    [-0.04, -1.25, 1.5, -2.16, -0.7, 2.19]
+)  #: [rad] a pose 2.3 rad and 0.32 m away from the desired one, with a path without singularities
 SLOW = 1.0  #: [1/s] kp of 9.5 on the moving path
 GAINS: dict[str, Any] = {"kp": 100.0, "ki": 100.0, "kd": 20.0}  #: of 9.16
 ASKED = Requirements(phase_deg=45.0, gain_increase_db=6.0, gain_reduction_db=6.0, sensitivity_peak=2.0)
@@ -34,7 +36,7 @@ def sections() -> tuple[Section, ...]:
 
 @cache
 def path() -> ToolSinusoid:
-    """A tool that swings by 8 and 5 cm and turns by 0.4 rad at 6 rad/s about the pose."""
+    """A tool path that oscillates by 8 and 5 cm and by 0.4 rad about the pose, at 6 rad/s."""
     return ToolSinusoid(arm().pose(POSE), np.array([0.0, 0.08, 0.05]), 6.0, axis=(1, 0, 0), angle=0.4)
 
 
@@ -56,8 +58,8 @@ def velocity_section() -> Section:
     away = float(np.abs(run.error - exact).max())
     size = np.linalg.norm(run.error[:, 3:], axis=1), np.linalg.norm(run.error[:, :3], axis=1)
     finding = (
-        f"From {written(float(size[0][0]))} rad and {written(float(size[1][0]))} m away the simulated error follows exp(−{k:g} t) "
-        f"to {written(away, 2)}: in the logarithm the law is linear however large the error, below π."
+        f"From an initial error of {written(float(size[0][0]))} rad and {written(float(size[1][0]))} m, the simulated error follows exp(−{k:g} t) "
+        f"to {written(away, 2)}. In logarithmic coordinates the law is linear for all rotation errors below π."
     )
     figure = Figure(
         partial(
@@ -77,9 +79,9 @@ def velocity_section() -> Section:
     )
     m = lin.margins("command")
     checks = (
-        at_most("departure from theory", 1e-6, 100 * away / float(np.abs(first).max()), "%", "error over time"),
-        at_most("departure from theory", 1e-6, float(np.abs(m.phase_deg[0] / 90 - 1).max()) * 100, "%", "phase margin 90°"),
-        at_most("departure from theory", 1e-6, float(np.abs(m.delay[0] / (np.pi / (2 * k)) - 1).max()) * 100, "%", "delay margin π/(2k)"),
+        at_most("deviation from theory", 1e-6, 100 * away / float(np.abs(first).max()), "%", "error over time"),
+        at_most("deviation from theory", 1e-6, float(np.abs(m.phase_deg[0] / 90 - 1).max()) * 100, "%", "phase margin 90°"),
+        at_most("deviation from theory", 1e-6, float(np.abs(m.delay[0] / (np.pi / (2 * k)) - 1).max()) * 100, "%", "delay margin π/(2k)"),
         *as_checks(ASKED.check(loop, [0.0], at="command").lines),
     )
     numbers = {
@@ -95,12 +97,12 @@ def velocity_section() -> Section:
 
 
 class Frozen(NamedTuple):
-    """Rightmost frozen roots along the moving path in both coordinates, and the truth of one period."""
+    """Rightmost frozen poles along the moving path in both coordinates, and the true growth over one period."""
 
     t: Array
     error: Array  #: (m,) [1/s] rightmost, coordinates (X_e, ...)
     state: Array  #: (m,) [1/s] rightmost, coordinates (q, ...)
-    truth: float  #: [1/s] growth per second by Floquet on the true orbit
+    truth: float  #: [1/s] growth per second along the periodic orbit (Floquet)
 
 
 @cache
@@ -113,41 +115,39 @@ def frozen(equation: str) -> Frozen:
 
 
 def coordinates_section() -> Section:
-    """Frozen roots on a moving tool path depend on the coordinates; the truth does not."""
+    """On a moving tool path the frozen poles depend on the coordinates; the growth along the orbit does not."""
     two = {name: frozen(name) for name in ("9.5", "9.16")}
     slow = {"9.5": -SLOW, "9.16": float(np.roots([1, GAINS["kd"], GAINS["kp"], GAINS["ki"]]).real.max())}
     f = two["9.5"]
     finding = (
-        f"On the moving path the rightmost frozen root of 9.5 in joint coordinates wanders from {written(float(f.state.min()))} to "
-        f"{written(float(f.state.max()))} 1/s, the one of the tool's error stays at {written(float(f.error.max()))} 1/s; over a period of the true "
-        f"orbit the error decays at {written(f.truth)} 1/s, as the error coordinates say."
+        f"On the moving path, the rightmost frozen pole of 9.5 varies in joint coordinates from {written(float(f.state.min()))} to "
+        f"{written(float(f.state.max()))} 1/s; in error coordinates it stays at {written(float(f.error.max()))} 1/s. Over one period of the "
+        f"orbit the error decays at {written(f.truth)} 1/s, in agreement with the error coordinates."
     )
     panels = tuple(plots.Panel(f"{name}: Re s [1/s]", np.stack([x.error, x.state], axis=1)) for name, x in two.items())
     figure = Figure(
-        partial(plots.traces, f.t, panels, ("error coordinates", "state coordinates"), title="Rightmost frozen root along one period"),
-        "The same loops, linearised at the same times, in two coordinates.",
-        f"Rightmost frozen roots over one period: 9.5 {f.error.max():.3g} in error coordinates, up to {f.state.max():.3g} in state coordinates; "
+        partial(plots.traces, f.t, panels, ("error coordinates", "state coordinates"), title="Rightmost frozen pole along one period"),
+        "The same loops, linearised at the same times, in two coordinate systems.",
+        f"Rightmost frozen poles over one period: 9.5 {f.error.max():.3g} in error coordinates, up to {f.state.max():.3g} in state coordinates; "
         f"9.16 {two['9.16'].error.max():.3g} and up to {two['9.16'].state.max():.3g} per second.",
     )
     columns = (
-        Column("Law", numeric=False), Column("error coordinates", "1/s"), Column("state, least", "1/s"), Column("state, most", "1/s"),
-        Column("true orbit", "1/s"), Column("design", "1/s"),
+        Column("Law", numeric=False), Column("error coordinates", "1/s"), Column("state, min", "1/s"), Column("state, max", "1/s"),
+        Column("periodic orbit", "1/s"), Column("design", "1/s"),
     )  # fmt: skip
     rows = tuple((name, float(x.error.max()), float(x.state.min()), float(x.state.max()), x.truth, slow[name]) for name, x in two.items())
     body = (
-        Paragraph(
-            "Both laws run with an exact model on a tool path that swings and turns, so the error obeys the design polynomial whatever the path does."
-        ),
-        Table("Rightmost root: frozen in both coordinates, and the growth per second of the true orbit (Floquet).", columns, rows),
+        Paragraph("Both laws use an exact model on a tool path that oscillates and rotates, so the error obeys the design polynomial on any path."),
+        Table("Rightmost pole: frozen in both coordinates, and growth per second along the periodic orbit (Floquet).", columns, rows),
         figure,
     )
     checks = tuple(
-        at_most("departure from theory", 1e-3, 100 * abs(getattr(x, kind) / slow[name] - 1), "%", f"{name}, {word}")
+        at_most("deviation from theory", 1e-3, 100 * abs(getattr(x, kind) / slow[name] - 1), "%", f"{name}, {word}")
         for name, x in ((n, y._replace(error=y.error.max())) for n, y in two.items())
-        for kind, word in (("error", "error coordinates"), ("truth", "true orbit"))
+        for kind, word in (("error", "error coordinates"), ("truth", "periodic orbit"))
     )
     numbers = {name: {"error": x.error, "state": x.state, "floquet_exponent": x.truth, "design": slow[name]} for name, x in two.items()}
-    return Section("On a moving tool path: which coordinates", finding, body, checks, numbers, SOURCES, key="coordinates")
+    return Section("Coordinates on a moving tool path", finding, body, checks, numbers, SOURCES, key="coordinates")
 
 
 # --- 9.14 and 9.15 -----------------------------------------------------------------------------------------------
@@ -155,7 +155,7 @@ def coordinates_section() -> Section:
 
 @cache
 def followed() -> tuple[Array, Array, Array, Array, Array, Array]:
-    """9.14 along the path: (t, q, v, a) and what the tool does then: twist and its rate, each (m, ...)."""
+    """9.14 along the path: (t, q, v, a) and the resulting tool twist and its rate, each (m, ...)."""
     t = np.asarray(np.linspace(0, path().period or 1.0, 61))
     point = from_tool_path(arm(), path(), POSE, t)(t)
     q, v, a = (np.asarray(x) for x in point)
@@ -170,7 +170,7 @@ def apply(matrix: Array, x: Array) -> Array:
 
 
 def joint_path_section() -> Section:
-    """9.14: the joint path of a tool path, there and back."""
+    """9.14: the joint path of a tool path, checked by forward kinematics."""
     t, q, v, a, V, dV = followed()
     asked = path()(t)
     missed = {
@@ -181,8 +181,9 @@ def joint_path_section() -> Section:
     loop = ClosedLoop(arm(), laws.ComputedTorque(**GAINS), from_tool_path(arm(), path(), POSE, t))
     run = loop.simulate(t)
     finding = (
-        f"The joint path gives back the tool's pose to {written(missed['pose'], 2)}, its twist to {written(missed['twist'], 2)} and the rate of "
-        f"its twist to {written(missed['rate of twist'], 2)}; 9.10 on it, in joint space, leaves {written(float(np.abs(run.error).max()), 2)} rad."
+        f"The joint path reproduces the tool's pose to {written(missed['pose'], 2)}, its twist to {written(missed['twist'], 2)} and the rate of "
+        f"its twist to {written(missed['rate of twist'], 2)}. Under 9.10 in joint space, its largest error is "
+        f"{written(float(np.abs(run.error).max()), 2)} rad."
     )
     names = arm().joint_names
     figure = Figure(
@@ -192,7 +193,7 @@ def joint_path_section() -> Section:
             (plots.Panel("q [rad]", q - q[0]), plots.Panel("v [rad/s]", v), plots.Panel("a [rad/s²]", a)),
             names,
         ),
-        "Joint motion for one period of the tool path; positions from their start.",
+        "Joint motion for one period of the tool path; positions relative to the start.",
         f"Joint motion over one period: largest speed {np.abs(v).max():.3g} rad/s, largest acceleration {np.abs(a).max():.3g} rad/s².",
     )
     body = (
@@ -208,7 +209,7 @@ def joint_path_section() -> Section:
 
 
 def dynamics_section() -> Section:
-    """9.15: the arm's equation in tool space says the same as 9.7."""
+    """9.15: the equation of motion in tool space agrees with 9.7."""
     _, q, v, a, _, dV = followed()
     Lambda, eta = arm().task_inertia(q), arm().task_bias(q, v)
     tau = apply(np.swapaxes(arm().jacobian(q), 1, 2), apply(Lambda, dV) + eta)
@@ -216,8 +217,8 @@ def dynamics_section() -> Section:
     away = float(np.abs(tau - wanted).max())
     weight = np.linalg.eigvalsh(Lambda[:, :3, :3])
     finding = (
-        f"Along the path both forms ask for the same torques to {written(away, 2)} of up to {written(float(np.abs(wanted).max()))} Nm; seen from "
-        f"the tool the arm weighs between {written(float(weight.min()))} and {written(float(weight.max()))} kg, according to direction."
+        f"Along the path both forms give the same torques to {written(away, 2)} Nm (largest torque {written(float(np.abs(wanted).max()))} Nm). The "
+        f"effective mass at the tool is {written(float(weight.min()))} to {written(float(weight.max()))} kg, depending on the direction."
     )
     body = (
         Equation(
@@ -227,14 +228,14 @@ def dynamics_section() -> Section:
         ),
         KeyFacts(
             (
-                Fact("Lightest direction", Number(float(weight.min()), "kg"), "translation"),
-                Fact("Heaviest direction", Number(float(weight.max()), "kg"), "translation"),
-                Fact("Largest departure", Number(away, "Nm", 2), "of the tool form from 9.7"),
+                Fact("Smallest effective mass", Number(float(weight.min()), "kg"), "translation"),
+                Fact("Largest effective mass", Number(float(weight.max()), "kg"), "translation"),
+                Fact("Largest deviation", Number(away, "Nm", 2), "of the tool form from 9.7"),
             )
         ),
     )
-    checks = (at_most("departure from theory", 1e-8, 100 * away / float(np.abs(wanted).max()), "%", "tool form against 9.7"),)
-    return Section("The arm seen from its tool: 9.15", finding, body, checks, {"departure": away, "task_mass": weight}, SOURCES, key="tool-dynamics")
+    checks = (at_most("deviation from theory", 1e-8, 100 * away / float(np.abs(wanted).max()), "%", "tool form and 9.7"),)
+    return Section("Dynamics in tool space: 9.15", finding, body, checks, {"departure": away, "task_mass": weight}, SOURCES, key="tool-dynamics")
 
 
 # --- 9.16 --------------------------------------------------------------------------------------------------------
@@ -253,13 +254,13 @@ def torque_section() -> Section:
     at = {point: lin.margins(point) for point in ("torque", "command")}
     worst = {point: m.worst().phase_deg for point, m in at.items()}
     finding = (
-        f"With an exact model the error is six copies of the design polynomial to {written(away, 2)} at all {len(t)} times of the path; with 2 kg "
-        f"that the controller does not know and a torque lag of 2 ms the least phase margin is {written(worst['torque'][0])}° at the torques and "
+        f"With an exact model the error polynomial is the design polynomial to the sixth power, to {written(away, 2)} at all {len(t)} times. With an "
+        f"unknown payload of 2 kg and a torque lag of 2 ms the smallest phase margin is {written(worst['torque'][0])}° at the torques and "
         f"{written(worst['command'][0])}° at the command."
     )
     i = int(np.argmin(np.abs(t - worst["torque"][1])))
     j = at["torque"].channels.index(worst["torque"][2])
-    columns = (Column("Opened at", numeric=False), Column("phase", "°"), Column("gain down", "dB"), Column("delay", "ms"), Column("peak Ms"))
+    columns = (Column("Analysis point", numeric=False), Column("phase", "°"), Column("gain down", "dB"), Column("delay", "ms"), Column("peak Ms"))
     rows = tuple(
         (
             point,
@@ -273,17 +274,17 @@ def torque_section() -> Section:
     history = Figure(
         partial(plots.margin_history, at["torque"], {"phase_deg": 45.0, "sensitivity_peak": 2.0}, metrics=("phase_deg", "sensitivity_peak")),
         "Margins at the torques along one period, unknown payload of 2 kg.",
-        f"Margins along the path: least phase {worst['torque'][0]:.3g} degrees at {worst['torque'][1]:.3g} s ({worst['torque'][2]}).",
+        f"Margins along the path: smallest phase margin {worst['torque'][0]:.3g} degrees at {worst['torque'][1]:.3g} s ({worst['torque'][2]}).",
     )
     body = (
         Equation(laws.TaskComputedTorque.typst, "computed torque in tool space", "9.16"),
         Equation("(s^3 + k_d s^2 + k_p s + k_i)^6 = 0", "error polynomial of the exact model"),
-        Table("Least margins along the path, 2 kg unknown, torque lag 2 ms.", columns, rows),
+        Table("Smallest margins along the path, unknown payload of 2 kg, torque lag 2 ms.", columns, rows),
         history,
         response(lin, "torque", j, f"UR5, 9.16, {worst['torque'][2]}", i),
     )
     checks = (
-        at_most("departure from theory", 1e-6, 100 * away, "%", "error polynomial"),
+        at_most("deviation from theory", 1e-6, 100 * away, "%", "error polynomial"),
         *as_checks(ASKED.check(real, t, at="torque").lines),
     )
     numbers = {
@@ -315,7 +316,7 @@ def said(lin: Linearization) -> str:
 
 
 def redundant_section() -> Section:
-    """9.16 on a seven-joint arm, with and without damping of what the tool does not see."""
+    """9.16 on a seven-joint arm, with and without null-space damping."""
     title = "Seven joints: 9.16 with a null space"
     try:
         robot = robots.load("panda")
@@ -332,26 +333,26 @@ def redundant_section() -> Section:
     without, damped = lins.values()
     finding = (
         f"Without null-space damping the Panda's loop {said(without)}; with 10 1/s it {said(damped)}, "
-        f"with {int(damped.neutral[0])} neutral root: the posture that the tool does not see."
+        f"with {int(damped.neutral[0])} neutral pole: the posture in the null space."
     )
     columns = (
         Column("Null-space damping", numeric=False),
         Column("verdict", numeric=False),
-        Column("neutral roots"),
+        Column("neutral poles"),
         Column("coordinates", numeric=False),
     )
     rows = tuple((name, in_words(bool(x.stable[0]), bool(x.drifts[0])), int(x.neutral[0]), x.coordinates) for name, x in lins.items())
     body = (
-        Table("Panda holding its tool's pose.", columns, rows),
-        poles_table([(name, x.poles()[0]) for name, x in lins.items()], 4, "The slowest poles that are not at zero."),
+        Table("Panda holding its tool pose.", columns, rows),
+        poles_table([(name, x.poles()[0]) for name, x in lins.items()], 4, "The slowest nonzero poles."),
         Paragraph(
-            f"From 0.2 rad at the first joint the tool's error falls from {written(float(np.linalg.norm(run.error[0])))} to "
-            f"{written(float(np.linalg.norm(run.error[-1])), 2)} in 1 s while the posture comes to rest elsewhere."
+            f"With an initial error of 0.2 rad at the first joint, the tool error decreases from {written(float(np.linalg.norm(run.error[0])))} to "
+            f"{written(float(np.linalg.norm(run.error[-1])), 2)} in 1 s; the arm comes to rest in another posture."
         ),
     )
     slowest = float(np.roots([1, GAINS["kd"], GAINS["kp"], GAINS["ki"]]).real.max())
     found = float(damped.poles()[0].real[np.abs(damped.poles()[0]) > 0].max())
-    checks = (at_most("departure from theory", 1e-6, 100 * abs(found / slowest - 1), "%", "slowest pole"),)
+    checks = (at_most("deviation from theory", 1e-6, 100 * abs(found / slowest - 1), "%", "slowest pole"),)
     numbers = {
         "neutral": [int(x.neutral[0]) for x in lins.values()],
         "drifts": [bool(x.drifts[0]) for x in lins.values()],

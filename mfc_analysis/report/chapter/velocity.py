@@ -17,7 +17,7 @@ from mfc_analysis.report.document.document import Column, Equation, Figure, Numb
 from mfc_analysis.report.loops.view import View
 
 SLOPE, BEND, SETTLED = 0.2, 0.1, 8.0  #: [rad/s] of the ramp, [rad/s^2] of the parabola, [s] after which an error counts as settled
-OFFSET, DISTURBANCE = 0.05, 0.01  #: [rad] start off the path; [rad/s] velocity disturbance
+OFFSET, DISTURBANCE = 0.05, 0.01  #: [rad] initial error; [rad/s] velocity disturbance
 
 
 def sections(designs: Designs | None = None) -> tuple[Section, ...]:
@@ -35,7 +35,7 @@ def _equation(designs: Designs, equation: str, alt: str) -> Equation:
 
 
 def tracking(view: View) -> float:
-    """Largest error [rad] of the nonlinear run along the path, started on it."""
+    """Largest error [rad] of the nonlinear run along the path, without initial error."""
     return float(np.abs(view.evidence.run.error).max())
 
 
@@ -47,7 +47,7 @@ def steady(designs: Designs, equation: str, arm: Arm, c1: float, c2: float) -> f
 
 
 def open_loop(designs: Designs) -> Section:
-    """9.1: nothing is fed back; the error stays, a disturbance integrates."""
+    """9.1: no feedback; the error stays, and a disturbance is integrated."""
     pages, rows = [], []
     for arm, view in _views(designs, "9.1"):
         t = np.linspace(0.0, 2.0, 81)
@@ -62,14 +62,14 @@ def open_loop(designs: Designs) -> Section:
                 t,
                 (plots.Panel("error [rad]", kept.error[:, 0], beside=np.abs(pushed.error[:, 0])),),
                 ("joint 1",),
-                said=("start off the path", "velocity disturbance"),
+                said=("initial error", "velocity disturbance"),
             ),
-            f"A start {written(OFFSET, exact=True)} rad off the path, and a disturbance of {written(DISTURBANCE, exact=True)} rad/s.",
-            f"Error of {view.name}: it stays at {OFFSET} rad; a disturbance integrates to {written(drift)} rad in 2 s.",
+            f"Initial error of {written(OFFSET, exact=True)} rad, and disturbance of {written(DISTURBANCE, exact=True)} rad/s.",
+            f"Error of {view.name}: it stays at {OFFSET} rad; a disturbance causes {written(drift)} rad in 2 s.",
         )
         said = (
-            f"{arm.robot.n} pole{'s' if arm.robot.n > 1 else ''} at zero: an error of {written(OFFSET, exact=True)} rad changes by {written(change)}"
-            f" rad in 2 s, and a disturbance of {written(DISTURBANCE, exact=True)} rad/s grows to {written(drift)} rad."
+            f"{arm.robot.n} pole{'s' if arm.robot.n > 1 else ''} at zero: an initial error of {written(OFFSET, exact=True)} rad changes by "
+            f"{written(change)} rad in 2 s, and a disturbance of {written(DISTURBANCE, exact=True)} rad/s causes an error of {written(drift)} rad."
         )
         pages.append(
             loop_page(
@@ -84,20 +84,20 @@ def open_loop(designs: Designs) -> Section:
             )
         )
     table = Table(
-        "Open loop on three arms: the error stays what it was, and a disturbance integrates.",
+        "Open loop on three arms: the initial error stays, and a disturbance is integrated.",
         (
             Column("Arm", numeric=False),
             Column("Poles at 0"),
-            Column("Error at first", "rad"),
-            Column("changes by", "rad"),
-            Column("Disturbed: after 2 s", "rad"),
+            Column("Initial error", "rad"),
+            Column("Change", "rad"),
+            Column("Disturbed, after 2 s", "rad"),
             Column("d t", "rad"),
         ),
         tuple(rows),
     )
     finding = (
-        "Neutral, not stable: no error is ever corrected. These loops are here to show that, and their failed checks are not counted in the verdict"
-        " of the document."
+        "The loops are neutral, not stable: errors are not corrected. They are for demonstration; their failed checks do not count in the verdict"
+        " of the report."
     )
     return Section(
         "9.1 Velocity feedforward: open loop",
@@ -127,7 +127,7 @@ def proportional(designs: Designs) -> Section:
             )
         )
     table = Table(
-        f"P control with k = {written(k, exact=True)} 1/s: simulated beside the closed forms v/k and π/(2k).",
+        f"P control with k = {written(k, exact=True)} 1/s: simulation and the closed forms v/k and π/(2k).",
         (
             Column("Arm", numeric=False),
             Column("Largest error on the path", "rad"),
@@ -139,8 +139,8 @@ def proportional(designs: Designs) -> Section:
         tuple(rows),
     )
     finding = (
-        f"One pole at −{written(k, exact=True)} 1/s for each joint and 90° of phase margin on every arm; "
-        f"the price is a lag of v/k on a ramp: {written(lag)} rad at {SLOPE} rad/s."
+        f"Each joint has one pole at −{written(k, exact=True)} 1/s and a phase margin of 90° on every arm. "
+        f"On a ramp of {SLOPE} rad/s the steady-state error is v/k: {written(lag)} rad."
     )
     return Section(
         "9.2 Proportional velocity control",
@@ -181,8 +181,8 @@ def integral(designs: Designs) -> Section:
     )
     damping = kp / (2 * math.sqrt(ki))
     finding = (
-        f"s² + kp s + ki with damping {written(damping)} on every arm; the ramp's error is gone ({written(ramp)} rad left), "
-        f"a parabola keeps a/ki = {written(BEND / ki)} rad."
+        f"The error polynomial is s² + kp s + ki with damping ratio {written(damping)}. The steady-state error is zero on a ramp "
+        f"({written(ramp)} rad) and a/ki = {written(BEND / ki)} rad on a parabola."
     )
     return Section(
         "9.3 Proportional-integral velocity control",
@@ -194,7 +194,7 @@ def integral(designs: Designs) -> Section:
 
 
 def feedforward(designs: Designs) -> Section:
-    """9.4: e'' + kp e' + ki e = 0 whatever q_d; the four laws on the same path."""
+    """9.4: e'' + kp e' + ki e = 0 for any q_d; the laws on the same path."""
     pages = []
     worst: dict[str, dict[str, float]] = {}
     for arm, view in _views(designs, "9.4"):
@@ -204,7 +204,7 @@ def feedforward(designs: Designs) -> Section:
             worst[arm.name][equation] = tracking(designs.view(equation, arm))
     rows = tuple((name, Number(found["9.2"]), Number(found["9.3"]), Number(found["9.4"])) for name, found in worst.items())
     table = Table(
-        "Largest error along the same path, started on it: what feedforward is worth.",
+        "Effect of feedforward: largest error along the same path, without initial error.",
         (Column("Arm", numeric=False), Column("9.2 P", "rad"), Column("9.3 PI", "rad"), Column("9.4 feedforward + PI", "rad")),
         rows,
     )
@@ -213,8 +213,9 @@ def feedforward(designs: Designs) -> Section:
     gain = first["9.2"] / max(first["9.4"], 1e-300)
     said = "more than a million times" if gain > 1e6 else f"{written(gain)} times"
     finding = (
-        f"The error obeys its own equation whatever the path: {said} less of it than under 9.2 on the single joint ({written(first['9.4'])} against"
-        f" {written(first['9.2'])} rad). Margins are those of 9.3 ({per_joint(_phase(designs))}°), for feedforward is not in the loop."
+        f"The error equation does not depend on the path. On the single joint the error is {said} smaller than under 9.2 "
+        f"({written(first['9.4'])} against"
+        f" {written(first['9.2'])} rad). The margins are those of 9.3 ({per_joint(_phase(designs))}°) because feedforward is not in the loop."
     )
     return Section(
         "9.4 Feedforward and proportional-integral velocity control",

@@ -50,7 +50,7 @@ def sections_of(data: dict, out: list | None = None) -> list[dict]:
 def test_loops_that_are_shown_to_fail_do_not_fail_the_chapter(good):
     found = verdict(good)
     assert found.status is Status.PASS
-    assert "3 loops are shown beside them" in found.detail
+    assert "3 loops are shown for demonstration" in found.detail
     assert good.sections[0].status is Status.FAIL  # and are still said to be what they are
 
 
@@ -60,7 +60,7 @@ def test_a_gain_that_makes_a_loop_unstable_changes_banner_matrix_section_and_jso
     before = json.loads(rendered(good, ("json",))["json"])
     assert (before["verdict"]["status"], data["verdict"]["status"]) == ("PASS", "FAIL")
     assert '<div class="banner fail"' in page
-    assert "missed on 3 of 3 loops" in data["verdict"]["detail"]
+    assert "not met on 3 of 3 loops" in data["verdict"]["detail"]
     section = next(s for s in sections_of(data) if s["loop"] == LOOP)
     assert (section["status"] == "FAIL" and "Not stable" in section["finding"]) or "unstable" in section["finding"]
     check = next(c for c in section["checks"] if c["name"] == "stable")
