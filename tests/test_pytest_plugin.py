@@ -81,7 +81,7 @@ def test_a_worker_that_crashes_leaves_a_report_that_says_it_is_not_complete(run)
         "\ndef test_crash():\n    assert_stable(velocity_p())\n    import os\n    os._exit(3)\n", "-n", "1", "--max-worker-restart=0"
     )
     assert result.ret != 0
-    assert "Evidence lost" in sections(report) and report["verdict"]["status"] == "FAIL"
+    assert "Missing evidence" in sections(report) and report["verdict"]["status"] == "FAIL"
     result.stdout.fnmatch_lines(["*ended without handing over its assertions*"])
 
 

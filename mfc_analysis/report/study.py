@@ -1,4 +1,4 @@
-"""The report of a study: the pages of its loops, and its ranges and design wishes as sections of their own."""
+"""The report of a study: the pages of its loops, then sections for its ranges and its design limits."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ Progress = Callable[[str, int, int], None]
 
 MOST_ROWS = 40  #: cases shown on a page
 
-#: sections of a loop that ``report.sections`` of a study may choose from, and the titles they have
+#: sections of a loop that ``report.sections`` of a study can select, with their titles
 PAGES: dict[str, tuple[str, ...]] = {
     "loop": ("The loop and its parameters",),
-    "margins": ("How far it is from instability",),
+    "margins": ("Stability margins",),
     "poles": ("Poles",),
     "path": ("Along the path",),
-    "run": ("A step, linear and nonlinear", "A nonlinear run"),
-    "validation": ("How far the linear model holds",),
-    "pose": ("Where the arm is",),
+    "run": ("Step response, linear and nonlinear", "Nonlinear simulation"),
+    "validation": ("Validity of the linear model",),
+    "pose": ("Pose of the arm",),
 }
 
 
 def report(study: Study, out: str | os.PathLike[str], formats: Sequence[str], progress: Progress) -> tuple[Path, ...]:
-    """Writes the report of a study into ``out``, and nothing outside of it; returns the files.
+    """Writes the report of a study into ``out`` and nowhere else; returns the files.
 
     Args:
-        formats: some of "html", "pdf", "json"; none: those of the study. progress: called with (what, done, of).
+        formats: some of "html", "pdf", "json"; empty: those of the study. progress: called with (what, done, of).
     """
     from mfc_analysis.report import render
 
@@ -85,7 +85,7 @@ def document(study: Study, done: Callable[[str], None] | None = None, progress: 
 
 
 def ranges_section(found: LoopCheck) -> Section:
-    """The worst line of each requirement over the ranges with the case it belongs to, and what came of each case."""
+    """The worst line of each requirement over the ranges with its case, and the result of each case."""
     from mfc_analysis.report.document.document import Column, Section, Table
     from mfc_analysis.report.loops.checks import checks
     from mfc_analysis.requirements.line import Status
@@ -94,14 +94,14 @@ def ranges_section(found: LoopCheck) -> Section:
     lines = tuple(replace(line, where=", ".join(part for part in (line.where, said) if part)) for line, said in found.lines)
     ranked = sorted(found.verdicts, key=lambda pair: pair[1].worst.severity, reverse=True)[:MOST_ROWS]
     words = [Column(head, numeric=False) for head in ("Case", "Tightest requirement", "Where")]
-    columns = (words[0], Column("Result"), words[1], Column("Found"), words[2])
+    columns = (words[0], Column("Result"), words[1], Column("Value"), words[2])
     rows = tuple((said, Status(v.status.value), v.worst.label, _found(v.worst), v.worst.place) for said, v in ranked)
     which = f"the worst {len(rows)} of {found.cases} cases" if len(rows) < found.cases else f"all {found.cases} cases"
-    table = Table(f"{which[:1].upper()}{which[1:]}, the worst first; the controller's model stays what it is.", columns, rows)
-    finding = f"Of {found.cases} cases the worst is {case}: {worst.label} ({worst.place or 'everywhere'})."
+    table = Table(f"{which[:1].upper()}{which[1:]}, the worst first; the controller's model does not change.", columns, rows)
+    finding = f"The worst of {found.cases} cases is {case}: {worst.label} ({worst.place or 'everywhere'})."
     numbers = {"cases": found.cases, "worst": {line.name: {"found": line.found, "case": said} for line, said in found.lines}}
     shown = checks(lines)
-    return Section(f"{found.loop.name}: over the ranges", finding, (table,), shown, numbers, loop=f"{found.loop.name}, over its ranges")
+    return Section(f"{found.loop.name}: parameter ranges", finding, (table,), shown, numbers, loop=f"{found.loop.name}, over its ranges")
 
 
 def _found(line: Line) -> str:
@@ -109,19 +109,19 @@ def _found(line: Line) -> str:
 
 
 def limits_section(name: str, searched: Sequence[Limit], *, many: bool) -> Section:
-    """What was searched, what was found, and what is lost beyond."""
+    """The limits found, and the requirement that fails beyond each."""
     from mfc_analysis.report.document.document import Column, Number, Section, Table
 
-    columns = (Column("Limit", numeric=False), Column("Value"), Column("What binds", numeric=False), Column("Loops judged"))
+    columns = (Column("Limit", numeric=False), Column("Value"), Column("Limited by", numeric=False), Column("Loops evaluated"))
     rows = tuple(
         (limit.name, Number(float(limit), limit.unit, digits=5), "; ".join([limit.binds or limit.outcome.value, *limit.notes]), limit.evaluations)
         for limit in searched
     )
     first = searched[0]
     finding = f"{first.name[:1].upper()}{first.name[1:]}: {Number(float(first), first.unit, digits=4)}."
-    title = f"{name}: how far it may go" if many else "How far it may go"
+    title = f"{name}: design limits" if many else "Design limits"
     numbers = {limit.name: {"value": float(limit), "unit": limit.unit, "evaluations": limit.evaluations} for limit in searched}
-    return Section(title, finding, (Table("Limits by bisection on exact stability or on the requirements.", columns, rows),), numbers=numbers)
+    return Section(title, finding, (Table("Limits found by bisection on exact stability or on the requirements.", columns, rows),), numbers=numbers)
 
 
 def chapter(out: str | os.PathLike[str], formats: Sequence[str], progress: Progress) -> tuple[Path, ...]:

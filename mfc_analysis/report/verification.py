@@ -1,4 +1,4 @@
-"""The report of a test run: every loop that the tests assert on, with what was asked, the evidence, the verdict and the test's name."""
+"""The report of a test run: every loop that the tests assert on, with the requirements, the evidence, the verdict and the test's name."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from mfc_analysis.requirements.requirements import Verdict
     from mfc_analysis.testing import Asserted
 
-POLES = 8  #: shown, slowest first
+POLES = 8  #: number of poles shown, slowest first
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Record:
     test: str  #: id of the test
     number: int  #: of the assertion within its test, from 0
     what: str  #: "assert_margins", ...
-    loop: str  #: in words
+    loop: str  #: as text
     checks: tuple[Line, ...]
     passed: bool
     notes: tuple[str, ...]
@@ -61,7 +61,7 @@ class Record:
 
 
 def record(asserted: Asserted, test: str, number: int) -> Record:
-    """What a report needs of an assertion that was made in ``test``. The evidence is completed with margins and poles."""
+    """The record of an assertion made in ``test``. Margins and poles are added to the evidence."""
     verdict = asserted.verdict
     found = cast("Verdict", asserted)  # has the lines
     if verdict is None:
@@ -100,7 +100,7 @@ def record(asserted: Asserted, test: str, number: int) -> Record:
 
 
 def with_outcomes(records: Sequence[Record], outcomes: Mapping[str, str]) -> list[Record]:
-    """The records with what came of their tests, in an order that does not depend on who ran them when."""
+    """The records with the outcomes of their tests, in an order that does not depend on how the tests ran."""
     done = [replace(r, outcome=outcomes.get(r.test, "")) for r in records]
     return sorted(done, key=lambda r: (r.test, r.number))
 
@@ -108,16 +108,16 @@ def with_outcomes(records: Sequence[Record], outcomes: Mapping[str, str]) -> lis
 def verification_document(records: Sequence[Record], lost: Sequence[str] = (), command: str = "") -> Document:
     """The document of a test run.
 
-    An assertion that failed in a test that passed (a failure that was expected) is shown, but does not count.
+    An assertion that failed in a test that passed (an expected failure) is shown, but does not count.
 
     Args:
-        records: of all assertions. lost: names of processes that ended without handing over theirs. command: for the provenance.
+        records: of all assertions. lost: names of processes that did not report their assertions. command: for the provenance.
     """
     several = {r.test for r in records if r.number > 0}
     sections = tuple(_section(r, f"{r.test}, assertion {r.number + 1}" if r.test in several else r.test) for r in records)
     if lost:
-        said = f"{', '.join(lost)} ended without handing over the assertions made there: this report is not complete."
-        sections = (Section("Evidence lost", said, verdict=Status.FAIL), *sections)
+        said = f"{', '.join(lost)} did not report the assertions made there. This report is incomplete."
+        sections = (Section("Missing evidence", said, verdict=Status.FAIL), *sections)
     tests = len({r.test for r in records})
     failed = sum(not r.passed for r in records)
     subtitle = f"{len(records)} assertion{'s' * (len(records) != 1)} on loops in {tests} test{'s' * (tests != 1)}; {failed} failed"
@@ -133,8 +133,8 @@ def _section(r: Record, name: str) -> Section:
     body += _poles(r)
     if r.numbers:
         rows = tuple((key.replace("_", " "), Number(x)) for key, x in r.numbers.items())
-        body.append(Table("Linear prediction against nonlinear simulation.", (Column("Figure", numeric=False), Column("Value")), rows))
-    body += [Paragraph("Code that makes the loop again and asks again:"), Code(r.replay)]
+        body.append(Table("Linear prediction compared with nonlinear simulation.", (Column("Metric", numeric=False), Column("Value")), rows))
+    body += [Paragraph("Code that reproduces the assertion:"), Code(r.replay)]
     numbers: dict[str, Any] = {"test": r.test, "assertion": r.what, "passed": r.passed, "outcome": r.outcome, "times": r.times, "at": r.at}
     numbers |= {"asked": dict(r.asked), **r.numbers} | _numbers(r.margins)
     return Section(
@@ -148,7 +148,7 @@ def _finding(r: Record) -> str:
     came = "holds" if r.passed else "failed"
     test = f"; the test {r.outcome}" if r.outcome in ("failed", "skipped") and r.passed else ""
     expected = "; the test passed, so this failure was expected and does not count" if not r.passed and r.outcome == "passed" else ""
-    return f"{r.what} {came}. Tightest: {worst.label} {found_of(worst)} against {limit_of(worst)}{place}{test}{expected}."
+    return f"{r.what} {came}. Tightest: {worst.label} {found_of(worst)}, required: {limit_of(worst)}{place}{test}{expected}."
 
 
 def _margins(r: Record) -> list[Block]:
@@ -163,7 +163,7 @@ def _margins(r: Record) -> list[Block]:
         asked = {k: v for k, v in r.asked.items() if k in ("phase_deg", "gain_increase_db", "gain_reduction_db", "delay", "sensitivity_peak")}
         draw = partial(plots.margin_history, r.margins, asked or None)
         span = f"from {written(float(r.times[0]), exact=True)} to {written(float(r.times[-1]), exact=True)} s"
-        out.append(Figure(draw, f"Margins at {r.at} {span}, a line per channel; dashed: what was asked.", f"Margins against time {span}: {worst}"))
+        out.append(Figure(draw, f"Margins at {r.at} {span}, one line per channel; dashed: required limit.", f"Margins against time {span}: {worst}"))
     return out
 
 
@@ -171,7 +171,7 @@ def _poles(r: Record) -> list[Block]:
     if r.poles is None or not len(r.poles):
         return []
     rows = tuple((k + 1, complex(p)) for k, p in enumerate(r.poles))
-    return [Table(f"The {len(r.poles)} slowest closed-loop poles where it is tightest.", (Column("No."), Column("Pole", "1/s or z")), rows)]
+    return [Table(f"The {len(r.poles)} slowest closed-loop poles at the worst time.", (Column("No."), Column("Pole", "1/s or z")), rows)]
 
 
 def _numbers(m: Margins | None) -> dict[str, Any]:
@@ -187,7 +187,7 @@ def _scope(records: Sequence[Record]) -> Scope:
     model = (*loops[:8], f"and {len(loops) - 8} more loops") if len(loops) > 8 else loops
     return Scope(
         model,
-        ("each loop is linearised about its reference, exactly", "margins are of one loop at a time, the others closed"),
+        ("each loop is exactly linearised about its reference", "margins are of one loop at a time, the others closed"),
         (f"the times given in each test; margins at {', '.join(map(repr, sorted(points)))}",) if points else (),
-        ("whatever no test asserts; tests that failed before their assertion are not listed",),
+        ("anything that no test asserts; tests that failed before their assertion are not listed",),
     )

@@ -137,8 +137,8 @@ def test_a_report_shows_ranges_and_limits_and_only_the_sections_asked_for(tmp_pa
     assert done.exit_code == 0, done.output
     text = (tmp_path / "o" / "small.json").read_text(encoding="utf-8")
     titles = [section["title"] for section in json.loads(text)["sections"]]
-    assert any("over the ranges" in t for t in titles) and "How far it may go" in titles
-    assert '"Poles"' in text and "How far the linear model holds" not in text
+    assert any("parameter ranges" in t for t in titles) and "Design limits" in titles
+    assert '"Poles"' in text and "Validity of the linear model" not in text
 
 
 # --- init, studies -------------------------------------------------------------------------------------------------------
