@@ -1,6 +1,6 @@
-"""The command line: ``mfc-analysis``. Each command imports what it needs when it runs, so that ``--help`` comes at once.
+"""The command line: ``mfc-analysis``. Each command imports what it needs when it runs, so that ``--help`` is fast.
 
-Exit codes: 0 done or met, 1 a requirement is not met, 2 bad input (with a sentence on the standard error, never a traceback).
+Exit codes: 0 success or requirements met, 1 a requirement is not met, 2 bad input (one sentence on standard error, never a traceback).
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from mfc_analysis.errors import BadArgument
 
 app = typer.Typer(
     name="mfc-analysis",
-    help="Are the loops of a robot arm stable, how far from trouble are they, and which gains to use.",
+    help="Stability, margins and gains of the control loops of a robot arm.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="A study file (TOML), or the name of one that ships: see 'studies'.")]
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="A study file (TOML), or the name of a shipped study: see 'studies'.")]
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a console that has no such character shows another one, and no traceback
+            stream.reconfigure(errors="replace")  # characters that the console lacks are replaced, without a traceback
     app()
 
 
@@ -57,9 +57,9 @@ def _options(version: Annotated[bool, typer.Option("--version", callback=_versio
 @app.command()
 @terminal.guarded
 def report(
-    study: Annotated[Path | None, typer.Argument(metavar="[STUDY]", help="A study file; omitted: the whole chapter on the embedded robots.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder to write into; nothing is written outside of it.")] = Path("out"),
-    format: Annotated[str, typer.Option(help="Some of html, pdf, json, separated by commas.")] = "",
+    study: Annotated[Path | None, typer.Argument(metavar="[STUDY]", help="A study file; default: the whole chapter on the embedded robots.")] = None,
+    out: Annotated[Path, typer.Option(help="Output folder; nothing is written outside it.")] = Path("out"),
+    format: Annotated[str, typer.Option(help="One or more of html, pdf, json, separated by commas.")] = "",
 ) -> None:
     """Write a report: HTML, PDF and machine-readable JSON."""
     from mfc_analysis.report import study as study_report
@@ -74,8 +74,8 @@ def report(
 @terminal.guarded
 def check(
     study: StudyFile,
-    allow_watch: Annotated[bool, typer.Option(help="A verdict of WATCH (limits met, with a reservation) counts as met.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="The lines as JSON instead of tables.")] = False,
+    allow_watch: Annotated[bool, typer.Option(help="Accept WATCH (requirements met, with a warning) as met.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Check a study's requirements: exit code 0 met, 1 not met, 2 bad input."""
     from mfc_analysis.study import check as study_check
@@ -96,12 +96,12 @@ def check(
 @app.command()
 @terminal.guarded
 def init(
-    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A URDF file, or a name of 'mfc-analysis robots'.")],
-    out: Annotated[Path | None, typer.Option(help="The study to write; default: the robot's name .toml in this folder.")] = None,
-    tool: Annotated[str | None, typer.Option(help="A link or frame; default: the last link.")] = None,
-    force: Annotated[bool, typer.Option(help="Overwrite.")] = False,
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A URDF file, or a robot name: see 'mfc-analysis robots'.")],
+    out: Annotated[Path | None, typer.Option(help="Study file to write; default: the robot's name with .toml, in this folder.")] = None,
+    tool: Annotated[str | None, typer.Option(help="Tool link or frame; default: the last link.")] = None,
+    force: Annotated[bool, typer.Option(help="Overwrite an existing file.")] = False,
 ) -> None:
-    """Write a commented study for a robot; it runs as it is."""
+    """Write a commented study for a robot. It runs without changes."""
     from mfc_analysis.study import init as study_init
 
     written = study_init.write(robot, out, tool, overwrite=force)
@@ -111,10 +111,10 @@ def init(
 @app.command()
 @terminal.guarded
 def studies(
-    copy: Annotated[Path | None, typer.Option(help="Copy them into this folder, to start from.")] = None,
-    keys: Annotated[bool, typer.Option("--keys", help="List every table that a study may have, and its keys.")] = False,
+    copy: Annotated[Path | None, typer.Option(help="Copy the studies into this folder as a starting point.")] = None,
+    keys: Annotated[bool, typer.Option("--keys", help="List all tables that a study can have, with their keys.")] = False,
 ) -> None:
-    """List the studies that ship with the package."""
+    """List the studies shipped with the package."""
     from mfc_analysis.study.shipped import copied, shipped
 
     if keys:
@@ -151,25 +151,27 @@ def _formats(text: str) -> tuple[str, ...]:
 @terminal.guarded
 def gains(
     kind: Annotated[str, typer.Argument(help="p, pi, pd, pid, joint-pid, force-pi or cartesian-damping.")],
-    bandwidth_hz: Annotated[float | None, typer.Option(help="Frequency where T = L/(1 + L) falls to -3 dB, in Hz.")] = None,
-    bandwidth: Annotated[float | None, typer.Option(help="The same, in rad/s.")] = None,
-    natural_frequency_hz: Annotated[float | None, typer.Option(help="Of the dominant poles, in Hz.")] = None,
-    natural_frequency: Annotated[float | None, typer.Option(help="The same, in rad/s.")] = None,
-    crossover_hz: Annotated[float | None, typer.Option(help="Frequency where |L| = 1, in Hz.")] = None,
-    crossover: Annotated[float | None, typer.Option(help="The same, in rad/s.")] = None,
-    settling_time: Annotated[float | None, typer.Option(help="Time to 2 %, in s.")] = None,
-    damping: Annotated[float | None, typer.Option(help="Damping ratio of the dominant pair; default: 1.")] = None,
-    inertia: Annotated[str | None, typer.Option(help="A number, or several separated by commas, in kg m^2 or kg; default: 1.")] = None,
-    robot: Annotated[str | None, typer.Option(help="joint-pid, cartesian-damping: a URDF file, a study, or a name of 'robots'.")] = None,
-    tool: Annotated[str | None, typer.Option(help="Its tool frame.")] = None,
-    q: Annotated[str | None, typer.Option(help="Its pose, numbers separated by commas, in rad or m; default: all 0, or the study's start.")] = None,
-    stiffness: Annotated[str | None, typer.Option(help="force-pi: of the surface, in N/m; cartesian-damping: a number or six.")] = None,
-    mass: Annotated[float | None, typer.Option(help="force-pi: what pushes, in kg.")] = None,
-    lag: Annotated[float | None, typer.Option(help="force-pi: of the torque loop, in s.")] = None,
-    friction: Annotated[float | None, typer.Option(help="force-pi: of what pushes, in N s/m.")] = None,
+    bandwidth_hz: Annotated[float | None, typer.Option(help="Frequency at which T = L/(1 + L) falls to -3 dB, in Hz.")] = None,
+    bandwidth: Annotated[float | None, typer.Option(help="As above, in rad/s.")] = None,
+    natural_frequency_hz: Annotated[float | None, typer.Option(help="Natural frequency of the dominant poles, in Hz.")] = None,
+    natural_frequency: Annotated[float | None, typer.Option(help="As above, in rad/s.")] = None,
+    crossover_hz: Annotated[float | None, typer.Option(help="Frequency at which |L| = 1, in Hz.")] = None,
+    crossover: Annotated[float | None, typer.Option(help="As above, in rad/s.")] = None,
+    settling_time: Annotated[float | None, typer.Option(help="Settling time to 2 %, in s.")] = None,
+    damping: Annotated[float | None, typer.Option(help="Damping ratio of the dominant pole pair; default: 1.")] = None,
+    inertia: Annotated[str | None, typer.Option(help="Inertia: one or more numbers separated by commas, in kg m^2 or kg; default: 1.")] = None,
+    robot: Annotated[str | None, typer.Option(help="joint-pid, cartesian-damping: a URDF file, a study, or a robot name (see 'robots').")] = None,
+    tool: Annotated[str | None, typer.Option(help="Tool frame of the robot.")] = None,
+    q: Annotated[
+        str | None, typer.Option(help="Joint positions separated by commas, in rad or m; default: all 0, or the start of the study.")
+    ] = None,
+    stiffness: Annotated[str | None, typer.Option(help="force-pi: stiffness of the surface, in N/m; cartesian-damping: one or six numbers.")] = None,
+    mass: Annotated[float | None, typer.Option(help="force-pi: moving mass, in kg.")] = None,
+    lag: Annotated[float | None, typer.Option(help="force-pi: lag of the torque loop, in s.")] = None,
+    friction: Annotated[float | None, typer.Option(help="force-pi: friction of the moving mass, in N s/m.")] = None,
     ratio: Annotated[float | None, typer.Option(help="cartesian-damping: damping ratio of each mode; default: 1.")] = None,
 ) -> None:
-    """Gains from a bandwidth, natural frequency, crossover or settling time, with the formula and what they achieve."""
+    """Compute gains from a bandwidth, natural frequency, crossover or settling time; print the formula and the metrics achieved."""
     from mfc_analysis.cli import gains as gains_command
 
     given = {name: value for name, value in locals().items() if value is not None and name not in ("kind", "gains_command")}
@@ -183,23 +185,23 @@ def gains(
 @terminal.guarded
 def exercise(
     number: Annotated[str, typer.Argument(help="9.1, 9.2, 9.3 or 9.4.")],
-    target_deg: Annotated[float | None, typer.Option(help="9.1-9.3: where the link shall go, in degrees.")] = None,
+    target_deg: Annotated[float | None, typer.Option(help="9.1-9.3: target angle of the link, in degrees.")] = None,
     kp: Annotated[float | None, typer.Option(help="Proportional gain (9.1: N m/rad; 9.2, 9.3: 1/s^2).")] = None,
     ki: Annotated[float | None, typer.Option(help="Integral gain (9.1: N m/(rad s); 9.2, 9.3: 1/s^3).")] = None,
     kd: Annotated[float | None, typer.Option(help="Derivative gain (9.1: N m s/rad; 9.2, 9.3: 1/s).")] = None,
-    velocity_deg: Annotated[float | None, typer.Option(help="9.2, 9.3: target velocity, the top speed on the way, in degrees/s; 0: a step.")] = None,
-    duration: Annotated[float, typer.Option(help="9.1-9.3: length of the run after the motion, in s.")] = 5.0,
-    inertia: Annotated[float, typer.Option(help="9.1-9.3: of the link about its joint, in kg m^2.")] = 0.5,
-    mass: Annotated[float, typer.Option(help="9.1-9.3: of the link, in kg.")] = 1.0,
-    com_distance: Annotated[float, typer.Option(help="9.1-9.3: of its centre of mass from the joint, in m.")] = 0.1,
-    damping: Annotated[float, typer.Option(help="9.1-9.3: friction of the joint, in N m s/rad.")] = 0.1,
+    velocity_deg: Annotated[float | None, typer.Option(help="9.2, 9.3: maximum velocity of the motion, in degrees/s; 0: a step.")] = None,
+    duration: Annotated[float, typer.Option(help="9.1-9.3: simulated time after the motion, in s.")] = 5.0,
+    inertia: Annotated[float, typer.Option(help="9.1-9.3: inertia of the link about its joint, in kg m^2.")] = 0.5,
+    mass: Annotated[float, typer.Option(help="9.1-9.3: mass of the link, in kg.")] = 1.0,
+    com_distance: Annotated[float, typer.Option(help="9.1-9.3: distance of the centre of mass from the joint, in m.")] = 0.1,
+    damping: Annotated[float, typer.Option(help="9.1-9.3: viscous friction of the joint, in N m s/rad.")] = 0.1,
     theta_deg: Annotated[float | None, typer.Option(help="9.4: angle of the revolute joint, in degrees.")] = None,
     d: Annotated[float | None, typer.Option(help="9.4: length of the prismatic joint, in m.")] = None,
     fx: Annotated[float | None, typer.Option(help="9.4: force along x of the base, in N.")] = None,
     fy: Annotated[float | None, typer.Option(help="9.4: force along y of the base, in N.")] = None,
     out: Annotated[Path | None, typer.Option(help="9.1-9.3: folder for the graph of position, velocity and torque (SVG).")] = None,
 ) -> None:
-    """The chapter's practice questions. What no option answers is asked for on a terminal, and has its default elsewhere."""
+    """Run a practice question of the chapter. Missing options are prompted for on a terminal; otherwise they take their defaults."""
     from mfc_analysis.cli import exercise as exercise_command
 
     answers = {"target_deg": target_deg, "kp": kp, "ki": ki, "kd": kd, "velocity_deg": velocity_deg}
@@ -208,13 +210,13 @@ def exercise(
     exercise_command.run(number, {key: value for key, value in answers.items() if value is not None}, link, duration, out)
 
 
-# --- what there is -------------------------------------------------------------------------------------------------------
+# --- lists ---------------------------------------------------------------------------------------------------------------
 
 
 @app.command()
 @terminal.guarded
 def laws() -> None:
-    """The control laws, by equation."""
+    """List the control laws, by equation."""
     from mfc_analysis.laws import LAWS
 
     rows = []
@@ -226,14 +228,14 @@ def laws() -> None:
 
 
 def _first_line(docstring: str | None) -> str:
-    """The first line of a docstring, without the formula and the marks of reStructuredText."""
+    """The first line of a docstring, without the formula and the reStructuredText markup."""
     return (docstring or "").strip().splitlines()[0].partition(": :math:")[0].replace("``", "").rstrip(".")
 
 
 @app.command()
 @terminal.guarded
 def robots() -> None:
-    """The robots: embedded ones, and the arms of the optional example-robot-data."""
+    """List the embedded robots and the arms of the optional example-robot-data."""
     from mfc_analysis.robots.catalogue import EMBEDDED, names
 
     rows = []

@@ -1,4 +1,4 @@
-"""``mfc-analysis exercise``: answers from options, from prompts on a terminal, or the defaults; then the exercise."""
+"""``mfc-analysis exercise``: answers from options, from prompts on a terminal, or by default; then the exercise."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _INVERSE = (
     ("kd", "derivative gain kd [1/s]", 20.0),
     ("velocity_deg", "target velocity [deg/s] (0: a step)", 90.0),
 )
-#: exercise -> what is asked: key, question with unit, default
+#: exercise -> its questions: key, question with unit, default
 QUESTIONS: dict[str, tuple[tuple[str, str, float], ...]] = {
     "9.1": (
         _TARGET,
@@ -41,9 +41,9 @@ QUESTIONS: dict[str, tuple[tuple[str, str, float], ...]] = {
 
 
 def answered(number: str, given: Mapping[str, float]) -> dict[str, float]:
-    """All answers of an exercise: those given, the others asked for on a terminal, or their defaults.
+    """All answers of an exercise: those given, and the others from prompts on a terminal or from their defaults.
 
-    Raises UnknownName for an exercise that isn't there, BadArgument for an answer it does not ask.
+    Raises UnknownName for an unknown exercise, BadArgument for an option that it does not have.
     """
     if number not in QUESTIONS:
         raise UnknownName("exercise", number, QUESTIONS)
@@ -51,7 +51,7 @@ def answered(number: str, given: Mapping[str, float]) -> dict[str, float]:
     for key, value in given.items():
         if key not in keys:
             options = ", ".join("--" + k.replace("_", "-") for k in keys)
-            raise BadArgument(f"--{key.replace('_', '-')}", value, f"nothing: exercise {number} asks for {options}")
+            raise BadArgument(f"--{key.replace('_', '-')}", value, f"no value: the options of exercise {number} are {options}")
     asking = on_a_terminal()
     out = {}
     for key, question, default in QUESTIONS[number]:
@@ -67,7 +67,7 @@ def answered(number: str, given: Mapping[str, float]) -> dict[str, float]:
 
 
 def run(number: str, given: Mapping[str, float], link: Mapping[str, float], duration: float, out: Path | None) -> None:
-    """One exercise, its answer said and its graph written into ``out``."""
+    """Runs one exercise, prints its answer and writes its graph into ``out``."""
     from mfc_analysis import exercises
 
     answers = answered(number, given)
@@ -93,7 +93,7 @@ def run(number: str, given: Mapping[str, float], link: Mapping[str, float], dura
 
 
 def on_a_terminal() -> bool:
-    """Whether somebody can answer."""
+    """Whether prompts can be answered."""
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 

@@ -1,4 +1,4 @@
-"""``mfc-analysis gains``: options of the command line to a design helper."""
+"""``mfc-analysis gains``: calls a design helper with the options of the command line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KINDS = ("p", "pi", "pd", "pid", "joint-pid", "force-pi", "cartesian-damping")
 def designed(kind: str, given: Mapping[str, Any]) -> Gains:
     """The gains of a helper from the options given, by their names with underscores.
 
-    Raises UnknownName for a kind that isn't there, BadArgument for an option the helper does not take, and the helper's own.
+    Raises UnknownName for an unknown kind, BadArgument for an option that the helper does not take, and the errors of the helper.
     """
     from mfc_analysis import gains
 
@@ -33,7 +33,9 @@ def designed(kind: str, given: Mapping[str, Any]) -> Gains:
     for name, value in given.items():
         key, factor = (name[:-3], 2 * math.pi) if name.endswith("_hz") else (name, 1.0)
         if key not in takes and not (key == "tool" and "robot" in takes):
-            raise BadArgument(f"--{name.replace('_', '-')}", value, f"nothing: {kind} takes {', '.join('--' + t.replace('_', '-') for t in takes)}")
+            raise BadArgument(
+                f"--{name.replace('_', '-')}", value, f"no value: the options of {kind} are {', '.join('--' + t.replace('_', '-') for t in takes)}"
+            )
         if key in asked:
             raise BadArgument(f"--{name.replace('_', '-')}", value, f"either --{key.replace('_', '-')}-hz or --{key.replace('_', '-')}")
         if isinstance(value, str) and key not in ("robot", "tool"):
@@ -41,26 +43,26 @@ def designed(kind: str, given: Mapping[str, Any]) -> Gains:
         asked[key] = value if factor == 1.0 or not isinstance(value, (int, float)) else factor * value
     for name in ("stiffness", "mass"):
         if name in takes and name not in asked:
-            raise BadArgument(f"--{name}", None, f"a number: {kind} needs it")
+            raise BadArgument(f"--{name}", None, f"a number, required by {kind}")
     tool = asked.pop("tool", None)
     if "robot" not in takes:
         return helper(**asked)
     if "robot" not in asked:
-        raise BadArgument("--robot", None, f"a URDF file, a study or a robot's name: {kind} needs its mass matrix")
+        raise BadArgument("--robot", None, f"a URDF file, a study or a robot's name: {kind} uses its mass matrix")
     arm, start = _arm_and_start(asked.pop("robot"), tool)
     q = asked.pop("q", start)
     return helper(arm, [q] if isinstance(q, float) else q, **asked)
 
 
 def _arm_and_start(name: str, tool: str | None) -> tuple[Robot, list[float]]:
-    """A robot and a pose: of a study its first loop's, payload included, where its reference starts; else the pose 0."""
+    """A robot and a pose: for a study, the robot of its first loop with payload, at the start of its reference; else the pose 0."""
     if Path(name).suffix != ".toml":
         from mfc_analysis.robots.catalogue import robot_named
 
         arm = robot_named(name, tool)
         return arm, [0.0] * arm.n
     if tool is not None:
-        raise BadArgument("--tool", tool, f"nothing: {name} says its own tool")
+        raise BadArgument("--tool", tool, f"no value: {name} defines the tool")
     from mfc_analysis import study
 
     loop = study.read(name).loops[0].loop
@@ -68,7 +70,7 @@ def _arm_and_start(name: str, tool: str | None) -> tuple[Robot, list[float]]:
 
 
 def numbers(name: str, text: str) -> float | list[float]:
-    """A number, or several separated by commas. Raises BadArgument."""
+    """One number, or several separated by commas. Raises BadArgument."""
     try:
         out = [float(part) for part in text.split(",")]
     except ValueError as why:

@@ -1,4 +1,4 @@
-"""What the command line shows: text that cannot be markup, tables, a progress bar on a terminal, errors as sentences with an exit code."""
+"""Output of the command line: plain text, tables, a progress bar on a terminal, and errors as sentences with an exit code."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ MET, NOT_MET, BAD_INPUT = 0, 1, 2  #: exit codes
 
 
 def plain(text: object) -> str:
-    """Text as it can be shown: what does not print (escape sequences of a terminal among it) is spelt out. Line ends stay."""
+    """Printable text: characters that do not print, such as terminal escape sequences, are escaped. Line ends stay."""
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in str(text))
 
 
 def console(stderr: bool = False) -> Console:
-    """A console that takes no markup; without a terminal as wide as its text needs."""
+    """A console without markup; if it is not a terminal, 200 columns wide."""
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
@@ -31,18 +31,18 @@ def console(stderr: bool = False) -> Console:
 
 
 def say(*lines: object) -> None:
-    """Lines on the standard output."""
+    """Writes lines to standard output."""
     for line in lines:
         sys.stdout.write(plain(line) + "\n")
 
 
 def complain(line: object) -> None:
-    """A line on the standard error."""
+    """Writes a line to standard error."""
     sys.stderr.write(plain(line) + "\n")
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
-    """A table on the standard output, without the columns that are empty; PASS, WATCH and FAIL in their colours on a terminal."""
+    """Writes a table to standard output, without empty columns; PASS, WATCH and FAIL are coloured on a terminal."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -64,14 +64,14 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[object]], title: str =
 
 
 def pairs(rows: Sequence[tuple[str, str]]) -> None:
-    """Names and what they are, one pair a line."""
+    """Writes names and their descriptions, one pair per line."""
     wide = max(len(name) for name, _ in rows)
     say(*(f"{name:<{wide}}  {what}" for name, what in rows))
 
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[str, int, int], None]]:
-    """A callback (what, done, of): a bar on the standard error where that is a terminal, nothing elsewhere."""
+    """A callback (what, done, of): a progress bar on standard error if it is a terminal, else nothing."""
     if not sys.stderr.isatty():
         yield lambda what, done, of: None
         return
@@ -88,7 +88,7 @@ def progress(title: str) -> Iterator[Callable[[str, int, int], None]]:
 
 
 def guarded(command: Callable[..., None]) -> Callable[..., None]:
-    """A command whose errors are a sentence on the standard error and exit code 2, and whose warnings are a line each."""
+    """A command that reports errors as a sentence on standard error with exit code 2, and each warning on one line."""
 
     @wraps(command)
     def run(*args: Any, **options: Any) -> None:
@@ -110,7 +110,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
             except MfcError as why:
                 complain(f"error: {why}")
                 raise Exit(BAD_INPUT) from None
-            except BrokenPipeError:  # whoever read has seen enough
+            except BrokenPipeError:  # the reader closed the pipe
                 sys.stdout = None  # nothing is left to flush into
                 raise Exit(MET) from None
             except OSError as why:
