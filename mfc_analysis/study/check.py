@@ -1,4 +1,4 @@
-"""The requirements of a study, checked on its loops and over its ranges: the worst line of each, with what, where and when."""
+"""The requirements of a study, checked on its loops and over its ranges: the worst line of each, with joint and time."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class LoopCheck:
-    """What came of one loop of a study: the worst line of each requirement over its cases."""
+    """The result of one loop of a study: the worst line of each requirement over its cases."""
 
     loop: StudyLoop
-    lines: tuple[tuple[Line, str], ...]  #: line and case ("" where the study has no ranges), failures first
+    lines: tuple[tuple[Line, str], ...]  #: line and case ("" without ranges), failures first
     verdicts: tuple[tuple[str, Verdict], ...]  #: case and verdict, in the order of the ranges
     notes: tuple[str, ...]
-    limits: tuple[Limit, ...] = ()  #: of the design wishes
+    limits: tuple[Limit, ...] = ()  #: of the ``[design]`` table
 
     @property
     def cases(self) -> int:
-        """How many cases were judged."""
+        """Number of cases checked."""
         return len(self.verdicts)
 
     @property
@@ -43,7 +43,7 @@ class LoopCheck:
 
     @property
     def heading(self) -> str:
-        """The loop in words."""
+        """The loop as text."""
         over = f", {self.cases} cases" if self.cases > 1 else ""
         t = self.loop.times
         when = f"t = {t[0]:g} s" if len(t) == 1 else f"{len(t)} times from {t[0]:g} to {t[-1]:g} s"
@@ -59,22 +59,22 @@ class LoopCheck:
         return out
 
     def sentences(self) -> list[str]:
-        """The verdict in words: what, where and when of all that is not met, and what else to know."""
+        """The verdict as sentences: each requirement that is not met, with joint and time, then notes and limits."""
         out = []
         for line, case in self.lines:
             if line.status != "PASS":
                 status, label, found, asked, _, place, note = line.cells()
                 where = "; ".join(part for part in (place, case, note) if part)
-                out.append(f"{status}: {self.loop.name}: {label}: found {found}, asked {asked}{f' ({where})' if where else ''}")
+                out.append(f"{status}: {self.loop.name}: {label}: found {found}, required {asked}{f' ({where})' if where else ''}")
         out += [f"note: {note}" for note in self.notes]
         out += [f"limit: {limit}" for limit in self.limits]
         return [*out, f"{self.status}: {self.loop.name}"]
 
 
 def check(study: Study, progress: Progress = lambda what, done, of: None, *, search: bool = False) -> tuple[LoopCheck, ...]:
-    """Every loop of the study against its requirements, over its ranges; ``search``: its design wishes too.
+    """Checks every loop of the study against its requirements, over its ranges; ``search``: finds its design limits too.
 
-    Raises MfcError where a loop cannot be judged.
+    Raises MfcError if a loop cannot be checked.
     """
     found = tuple(_check(loop, progress) for loop in study.loops)
     return tuple(replace(one, limits=limits(one.loop, progress)) for one in found) if search else found
@@ -101,7 +101,7 @@ def _check(one: StudyLoop, progress: Progress) -> LoopCheck:
 
 
 def as_json(checks: Sequence[LoopCheck]) -> str:
-    """The lines as JSON; what is infinite or undefined is a word."""
+    """The lines as JSON; infinite and undefined values are words."""
     out = []
     for one in checks:
         lines = [
@@ -117,4 +117,4 @@ def as_json(checks: Sequence[LoopCheck]) -> str:
 
 
 def _number(value: float) -> float | str:
-    return value if math.isfinite(value) else "undefined" if math.isnan(value) else "infinite" if value > 0 else "minus infinite"
+    return value if math.isfinite(value) else "undefined" if math.isnan(value) else "infinite" if value > 0 else "minus infinity"

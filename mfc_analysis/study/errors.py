@@ -1,4 +1,4 @@
-"""What is wrong with a study file."""
+"""The error of a study file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mfc_analysis.errors import MfcError
 
 
 class StudyError(MfcError, ValueError):
-    """A study file that cannot be used: names the file, the key, what it got and what is allowed."""
+    """An invalid study file: names the file, the key, the value given and the values allowed."""
 
     def __init__(self, file: str, key: str, problem: str, allowed: Sequence[str] = ()) -> None:
         self.file, self.key, self.problem, self.allowed = file, key, problem, tuple(allowed)

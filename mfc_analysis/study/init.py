@@ -1,4 +1,4 @@
-"""``mfc-analysis init``: a commented study for a robot, which runs as it is."""
+"""``mfc-analysis init``: a commented study for a robot, which runs without changes."""
 
 from __future__ import annotations
 
@@ -20,41 +20,41 @@ if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
 
-STRIDE = 0.5  #: [rad, m] the longest way a joint of the first path goes
+STRIDE = 0.5  #: [rad, m] longest joint motion of the first path
 
 BANDWIDTH = 10.0  #: [Hz] of the first gains
 
 MODEL = """\
-# What the controller believes, where it is not the plant itself:
+# The controller's model, where it differs from the plant:
 # [controller_model]
-# friction = "none"                        # it compensates none of the joints' viscous friction
+# friction = "none"                        # no compensation of the joints' viscous friction
 # payload = false
 # inertia_scale = 1.1"""
 
 MODEL_WITHOUT_FRICTION = """\
-# What the controller believes, where it is not the plant itself. The viscous friction of this arm outweighs the damping of the gains below:
-# compensated to the full, a few percent too much would make the loop unstable, so the controller leaves it alone.
+# The controller's model, where it differs from the plant. The viscous friction of this arm is larger than the damping of the gains below.
+# If it were fully compensated, an error of a few percent would make the loop unstable. The controller therefore does not compensate it.
 [controller_model]
 friction = "none"
 # payload = false
 # inertia_scale = 1.1"""
 
 TEMPLATE = """\
-# A study: a robot, a control law, a path, hardware, and what is asked of the loop.
+# A study: a robot, a control law, a path, hardware, and requirements on the loop.
 #
 #   mfc-analysis check {file}             requirements only: exit code 0 met, 1 not met, 2 bad input
 #   mfc-analysis report {file} --out out  HTML, PDF and JSON
 #
-# SI units and radians throughout; a key that ends in _deg or _hz says so. Files are read relative to this one.
+# SI units and radians, except for keys that end in _deg or _hz. File names are relative to this file.
 
 title = {title}
 
-# Where the arm stands at the start: {joints} [{units}].
+# Joint positions at the start: {joints} [{units}].
 q_start = {q_start}
 
 [robot]
 {source}
-tool = {tool}  # the frame that tool references and payloads mean
+tool = {tool}  # the frame of tool references and payloads
 {locked}
 # gravity = [0, 0, -9.81]                  # in base axes
 # friction = "none"                        # drop the URDF's joint damping; or {{viscous = 0.5, coulomb = 1.0}}
@@ -63,10 +63,10 @@ tool = {tool}  # the frame that tool references and payloads mean
 {model}
 
 [law]
-# mfc-analysis laws lists them; 9.10 is computed torque: tau = M (a_d + kp e + ki z + kd e') + h
+# "mfc-analysis laws" lists the laws; 9.10 is computed torque: tau = M (a_d + kp e + ki z + kd e') + h
 equation = "9.10"
-gains = {{helper = "pid", bandwidth_hz = {bandwidth:g}, damping = 1.0}}  # or kp = ..., ki = ..., kd = ... themselves
-# form = "printed"                         # the equation as the page has it
+gains = {{helper = "pid", bandwidth_hz = {bandwidth:g}, damping = 1.0}}  # or kp = ..., ki = ..., kd = ... directly
+# form = "printed"                         # the equation as printed in the chapter
 
 [reference]
 # Hold, Quintic, Sinusoid, Waypoints, csv (file = "path.csv"); ToolHold, ToolLine, ToolSinusoid, ToolCircle for tool laws
@@ -74,7 +74,7 @@ kind = "Quintic"
 q1 = {q1}
 duration = {duration}
 
-[hardware]                                 # none of it is on until it says so
+[hardware]                                 # ideal unless set here
 # torque_lag = 0.002                       # [s]
 # delay = 0.001                            # [s] of each commanded torque
 # sample_time = 0.001                      # [s]; the loop becomes discrete
@@ -86,7 +86,7 @@ duration = {duration}
 # axes = "z"                               # into the surface
 # preload = 5.0                            # [N] at the start
 
-# at = "torque"                            # where the margins are taken, before any table; default: the plant input
+# at = "torque"                            # analysis point of the margins, before any table; default: the plant input
 [times]
 stop = {duration}
 count = 51
@@ -95,21 +95,21 @@ count = 51
 phase_deg = 45.0
 gain_increase_db = 6.0
 gain_reduction_db = 6.0
-delay = 0.002                              # [s] of more dead time
+delay = 0.002                              # [s] of additional dead time
 sensitivity_peak = 2.0
 # disk_margin = 0.4
 # damping_ratio = 0.5
 # tracking_error = 1e-3                    # [rad, m] in a nonlinear run
 # torque_fraction = 0.9                    # of the torque limits
 
-# [ranges]                                 # every combination is checked, with the controller's model as it is
+# [ranges]                                 # every combination is checked; the controller's model does not change
 # payload = [0.0, 1.0, 2.0]
 # torque_lag = {{low = 0.001, high = 0.004, count = 4}}
 """
 
 
 def study_for(robot: Robot, source: str, file: str, locked: Sequence[str] = ()) -> str:
-    """The text of a study for a robot. ``source``: the line of its ``[robot]`` table that says where it comes from; ``locked``: welded joints."""
+    """The text of a study for a robot. ``source``: the line of its ``[robot]`` table with the source; ``locked``: locked joints."""
     q0, q1, duration = first_path(robot)
     turns = np.abs(robot.jacobian(q0)[3:]).max(axis=0) > 1e-9
     return TEMPLATE.format(
@@ -129,7 +129,7 @@ def study_for(robot: Robot, source: str, file: str, locked: Sequence[str] = ()) 
 
 
 def friction_rules(robot: Robot, *poses: Array) -> bool:
-    """Whether the viscous friction of a joint outweighs the damping of the gains: a controller that compensates it has no margin left."""
+    """Whether the viscous friction of a joint exceeds the damping of the gains: a controller that compensates it has no margin left."""
     from mfc_analysis import gains, hertz
 
     kd = float(gains.pid(bandwidth=hertz(BANDWIDTH))["kd"])
@@ -137,7 +137,7 @@ def friction_rules(robot: Robot, *poses: Array) -> bool:
 
 
 def first_path(robot: Robot) -> tuple[Array, Array, float]:
-    """Start, end and duration [s] of a path inside the joint limits, at half their speed at most."""
+    """Start, end and duration [s] of a path inside the joint limits, at no more than half the speed limits."""
     limits = robot.limits
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     bounded = np.isfinite(lower) & np.isfinite(upper)
@@ -156,7 +156,7 @@ def first_path(robot: Robot) -> tuple[Array, Array, float]:
 def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None = None, *, overwrite: bool = False) -> Path:
     """Writes the study of a URDF file or a robot's name; returns its path.
 
-    Raises BadArgument: the file is there already and ``overwrite`` is False; BadRobot, UnknownName for the robot.
+    Raises BadArgument if the file exists and ``overwrite`` is False; BadRobot or UnknownName for the robot.
     """
     is_file = bool(Path(name).suffix) or Path(name).exists()
     locked = unmoving(name, tool) if is_file else ()
@@ -164,7 +164,7 @@ def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None
     stem = Path(name).stem if is_file else name
     target = Path(out) if out is not None else Path(f"{stem}.toml")
     if target.exists() and not overwrite:
-        raise BadArgument("--out", str(target), "a file that isn't there yet; --force overwrites")
+        raise BadArgument("--out", str(target), "a new file, or --force to overwrite")
     if is_file:
         try:
             relative = os.path.relpath(Path(name).resolve(), target.resolve().parent)
@@ -179,7 +179,7 @@ def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None
 
 
 def unmoving(urdf: str | os.PathLike[str], tool: str | None) -> tuple[str, ...]:
-    """The joints of a URDF that do not move the tool, such as fingers; with no tool named, those that mimic another."""
+    """The joints of a URDF that do not move the tool, such as fingers; without a tool, those that mimic another."""
     from mfc_analysis.robots.urdf import checked_urdf, read_urdf
 
     text, mimic = checked_urdf(read_urdf(Path(urdf)))
@@ -208,8 +208,8 @@ def _arm(urdf: str, tool: str | None, locked: Sequence[str]) -> Robot:
 
 def _locked(names: Sequence[str]) -> str:
     if names:
-        return f"locked = {json.dumps(list(names))}  # welded at 0; or {{ name = 0.04 }}"
-    return '# locked = ["finger_joint1"]               # joints to weld, at 0; or { finger_joint1 = 0.04 }'
+        return f"locked = {json.dumps(list(names))}  # locked at 0; or {{ name = 0.04 }}"
+    return '# locked = ["finger_joint1"]               # joints to lock, at 0; or { finger_joint1 = 0.04 }'
 
 
 def _list(values: Array) -> str:

@@ -1,4 +1,4 @@
-"""The design wishes of a study: how stiff, how late, how heavy, how seldom, how fast its loop may become."""
+"""The design limits of a study: largest stiffness, delay, payload and bandwidth, and smallest sample rate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Progress = Callable[[str, int, int], None]
 
 
 def limits(one: StudyLoop, progress: Progress = lambda what, done, of: None) -> tuple[Limit, ...]:
-    """The limits that the ``[design]`` table of a loop asks for, in its order. Raises MfcError where a search does not apply."""
+    """The limits selected in the ``[design]`` table of a loop, in its order. Raises MfcError if a search does not apply."""
     from mfc_analysis import design
 
     asked = [name for name in type(one.table.design).model_fields if getattr(one.table.design, name)]
@@ -32,12 +32,12 @@ def limits(one: StudyLoop, progress: Progress = lambda what, done, of: None) -> 
 
 
 def _bandwidth(one: StudyLoop) -> Limit:
-    """Bandwidth of the gains' helper, over all cases of the ranges."""
+    """Largest bandwidth of the gains helper, over all cases of the ranges."""
     from mfc_analysis import design
 
     gains = one.table.law.gains
     if gains is None:
-        raise BadArgument("design.max_bandwidth", True, "a study with law.gains: the helper whose bandwidth is varied")
+        raise BadArgument("design.max_bandwidth", True, "a study with law.gains, the helper whose bandwidth is varied")
     kept = {key: value for key, value in gains.given().items() if key in ("helper", "damping", "inertia", "stiffness", "mass", "lag", "friction")}
 
     def loops(bandwidth: float) -> list[ClosedLoop]:

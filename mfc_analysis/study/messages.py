@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with a study, as key, sentence and allowed keys."""
+"""Validation errors of a study as key, sentence and allowed keys."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def explained(error: Any, raw: Mapping[str, Any]) -> tuple[str, str, tuple[str, 
 
 
 def _walk(loc: Sequence[str | int], raw: Any) -> tuple[str, type[Table], Any]:
-    """The dotted key of an error's place, the table it is in, and what the file has there. Names of validators in ``loc`` fall out."""
+    """The dotted key of an error, its table, and the value in the file. Names of validators in ``loc`` are dropped."""
     key, here, last = "", raw, len(loc) - 1
     table: type[Table] = StudyTable
     for i, part in enumerate(loc):
@@ -59,7 +59,7 @@ def _walk(loc: Sequence[str | int], raw: Any) -> tuple[str, type[Table], Any]:
 
 
 def has(raw: Any, key: str) -> bool:
-    """True where the file has this dotted key."""
+    """Whether the file has this dotted key."""
     for part in key.replace("]", "").replace("[", ".").split("."):
         if isinstance(raw, list) and part.isdigit() and int(part) < len(raw):
             raw = raw[int(part)]

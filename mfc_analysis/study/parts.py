@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
 
 
-POINTS = 101  #: times where the study names none and the reference moves
+POINTS = 101  #: number of times if the study has none and the reference moves
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Builds a loop from its tables, once each; ``varied`` builds it with other quantities in the plant."""
+    """Builds a loop from its tables, each once; ``varied`` builds it with other plant parameters."""
 
     table: LoopTable
     folder: Path  #: files are read relative to it
@@ -51,7 +51,7 @@ class Parts:
 
     @contextmanager
     def _in(self, key: str) -> Iterator[None]:
-        """Errors of a part become errors of the study that name its key."""
+        """Turns errors of a part into errors of the study that name its key."""
         try:
             yield
         except StudyError:
@@ -74,7 +74,7 @@ class Parts:
 
     @cached_property
     def model(self) -> Robot:
-        """What the controller believes: the plant with the keys of ``controller_model`` changed; the plant itself where there are none."""
+        """The controller's model: the plant with the keys of ``controller_model`` changed; without keys, the plant itself."""
         given = self.table.controller_model
         changes = {} if given is None else given.given()
         if not changes:
@@ -114,7 +114,7 @@ class Parts:
 
     @cached_property
     def q_start(self) -> Array | None:
-        """(n,) joint position at the start, None where the study has none."""
+        """(n,) joint position at the start, None if the study has none."""
         given = self._si(self.table, "q_start")
         with self._in(""):
             return None if given is None else checks.array("q_start", given, (self.robot.n,))
@@ -126,7 +126,7 @@ class Parts:
             sliding = [name for name, turning in zip(self.robot.joint_names, turns, strict=True) if not turning]
             if sliding:
                 where = ".".join(part for part in (self.prefix, other) if part)
-                raise StudyError(self.file, where, f"joint {sliding[0]!r} slides: takes {key} instead, in rad and m")
+                raise StudyError(self.file, where, f"joint {sliding[0]!r} slides; use {key} instead, in rad and m")
         return table.si(key)
 
     def _start(self, key: str) -> Array:
@@ -181,7 +181,7 @@ class Parts:
         return trajectories.from_tool_path(self.robot, ref, self._start("q_start"), self._times_of(ref))
 
     def times(self) -> Array:
-        """(m,) [s] where the loop is analysed: the study's, else along the reference."""
+        """(m,) [s] at which the loop is analysed: those of the study, else along the reference."""
         with self._in("times"):
             return self._times_of(self.reference)
 
@@ -190,7 +190,7 @@ class Parts:
             return checks.times(self.table.times.points())
         span = 0.0 if ref.is_hold else ref.duration or ref.period
         if span is None:
-            raise BadArgument("stop", None, "the end of the times [s]: the reference has neither duration nor period")
+            raise BadArgument("stop", None, "the end of the times [s], because the reference has neither duration nor period")
         return np.linspace(0.0, span, POINTS) if span else np.zeros(1)
 
     @cached_property
@@ -213,7 +213,7 @@ class Parts:
                 given.pop("gains")
                 for key, value in self._gains(table.gains).items():
                     if key in given:
-                        raise BadArgument(key, given[key], f"nothing beside law.gains, which gives {key} too")
+                        raise BadArgument(key, given[key], f"no value, because law.gains also sets {key}")
                     given[key] = value
             for key in given:
                 if key not in takes:
@@ -226,13 +226,13 @@ class Parts:
                 given["constraints"] = self._constraints(table.constraints)
             for f in fields(kind):  # type: ignore[arg-type]
                 if f.init and f.name not in given and _is_required(kind, f.name):
-                    raise BadArgument(f.name, None, f"a value: {kind.__name__} (eq. {kind.equation}) needs it")
+                    raise BadArgument(f.name, None, f"a value, required by {kind.__name__} (eq. {kind.equation})")
             law: Law = kind(**given)
             law.check(self.robot.n)
             return law
 
     def at(self) -> str | None:
-        """The analysis point asked for. Raises StudyError where the law does not have it."""
+        """The analysis point of the study. Raises StudyError if the law does not have it."""
         if self.table.at is not None:
             with self._in(""):
                 checks.choice("at", self.table.at, self.law.opens_at)
@@ -273,7 +273,7 @@ class Parts:
         return out
 
     def hardware(self, changes: Mapping[str, float] | None = None) -> Hardware | None:
-        """Hardware of the study, some fields changed; None: ideal."""
+        """Hardware of the study with some fields changed; None: ideal."""
         from mfc_analysis.dynamics.hardware import Hardware
 
         given: dict[str, Any] = {**({} if self.table.hardware is None else self.table.hardware.given()), **(changes or {})}
@@ -288,11 +288,11 @@ class Parts:
     # --- loops ---------------------------------------------------------------------------------------------------------
 
     def loop(self) -> ClosedLoop:
-        """The loop as the study says it. Raises StudyError."""
+        """The loop that the study describes. Raises StudyError."""
         return self._loop(self.robot, self.surfaces(self.table.environment), self.hardware())
 
     def varied(self, values: Mapping[str, float]) -> ClosedLoop:
-        """The loop with these quantities of the plant (keys of ``ranges``); the controller's model stays what it is."""
+        """The loop with these plant parameters (keys of ``ranges``); the controller's model does not change."""
         plant: dict[str, Any] = {}
         if "payload" in values:
             plant["payload"] = [*self._payload_of(values["payload"]), *self.table.robot.payload[1:]]
@@ -332,13 +332,13 @@ def _argument(why: BadArgument, key: str) -> str:
 
 
 def _in_the_tool(table: PoseTable) -> PoseTable:
-    """A pose in the tool frame: the origin where nothing is said."""
+    """A pose in the tool frame; default: the origin."""
     said = any(base is not None for base in (table.matrix, table.position, table.q, table.q_deg))
     return table if said else table.model_copy(update={"position": [0.0, 0.0, 0.0]})
 
 
 def _changed(robot: Robot, options: dict[str, Any]) -> Robot:
-    """A robot of the catalogue with another tool, order of joints, gravity, or joints locked; its joint damping stays."""
+    """A robot of the catalogue with another tool, order of joints, gravity, or locked joints; its joint damping stays."""
     model = type(robot.model)(robot.model)
     damping = np.zeros(robot.n)
     damping[robot.order] = robot.viscous
@@ -369,7 +369,7 @@ def _outer(table: OuterTable) -> Any:
 
 
 def _rotation(key: str, table: PoseTable) -> Array:
-    """(3, 3) of rpy (Rz Ry Rx) or of a quaternion (x, y, z, w); 1 where there is neither."""
+    """(3, 3) of rpy (Rz Ry Rx) or of a quaternion (x, y, z, w); the identity without either."""
     rpy = table.si("rpy")
     if table.quaternion_xyzw is not None:
         given = checks.array(f"{key}.quaternion_xyzw", table.quaternion_xyzw, (4,))

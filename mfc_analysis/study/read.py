@@ -1,6 +1,6 @@
-"""Studies: a TOML file that says robot, law, path, hardware and what is asked, turned into loops.
+"""Studies: a TOML file with robot, law, path, hardware and requirements, turned into loops.
 
-``read(path)`` checks the file against ``schema`` and builds its loops. Files it names are read relative to it.
+``read(path)`` checks the file against ``schema`` and builds its loops. File names in it are relative to it.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from mfc_analysis.study.parts import Parts
 
 
-MOST_CASES = 1000  #: combinations of ranges that a study may ask for
+MOST_CASES = 1000  #: most combinations of ranges in a study
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A loop with some quantities of its plant changed, as the ranges of a study ask for."""
+    """A loop with some plant parameters changed, from the ranges of a study."""
 
     values: Mapping[str, float]  #: quantity -> value [SI]
     loop: ClosedLoop
@@ -44,29 +44,29 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class StudyLoop:
-    """A loop of a study, and what is asked of it."""
+    """A loop of a study, and its requirements."""
 
     name: str
     loop: ClosedLoop
     times: Array  #: (m,) [s]
     at: str | None  #: analysis point; None: the plant input
-    table: LoopTable  #: what the file says
+    table: LoopTable  #: the tables of the file
     parts: Parts = field(repr=False)
 
     @property
     def requirements(self) -> Requirements:
-        """What is asked."""
+        """The requirements."""
         from mfc_analysis.requirements.requirements import Requirements
 
         return Requirements(**self.table.requirements.given())
 
     @property
     def asks(self) -> bool:
-        """Whether the file requires anything."""
+        """Whether the file has requirements."""
         return bool(self.table.requirements.model_fields_set)
 
     def cases(self) -> Iterator[Case]:
-        """Every combination of the ranges, the controller's model as it is. Nothing where the study has no ranges."""
+        """Every combination of the ranges, with the controller's model unchanged. Empty if the study has no ranges."""
         spans = {name: span.points() for name, span in self.table.ranges.given().items()}
         if not spans:
             return
@@ -81,14 +81,14 @@ class Study:
 
     title: str
     name: str  #: of the report's files
-    text: str  #: a paragraph for the report, maybe empty
+    text: str  #: a paragraph for the report, or empty
     file: Path
     sha256: str  #: of the file's bytes
     loops: tuple[StudyLoop, ...]
     table: StudyTable
 
     def files(self) -> tuple[Path, ...]:
-        """The study and the files that it names."""
+        """The study file and the files named in it."""
         return tuple(dict.fromkeys([self.file, *(path for one in self.loops for path in one.parts.files())]))
 
     @property
@@ -98,10 +98,10 @@ class Study:
 
 
 def read(path: str | os.PathLike[str]) -> Study:
-    """The study in a TOML file, its loops built.
+    """The study in a TOML file, with its loops built.
 
-    Raises StudyError (a ``ValueError``): not a file, not TOML, a key that isn't there (names the nearest), a value of another kind,
-    files, joints or gains that do not go together.
+    Raises StudyError (a ``ValueError``): not a file, not TOML, an unknown key (names the nearest), a value of the wrong type,
+    files, joints or gains that do not fit together.
     """
     file = Path(path)
     try:
@@ -110,12 +110,12 @@ def read(path: str | os.PathLike[str]) -> Study:
     except OSError as why:
         raise StudyError(str(path), "", f"cannot be read ({why.strerror or type(why).__name__})") from why
     except UnicodeDecodeError as why:
-        raise StudyError(str(path), "", "is not a text in UTF-8") from why
+        raise StudyError(str(path), "", "is not UTF-8 text") from why
     except tomllib.TOMLDecodeError as why:
         raise StudyError(str(path), "", f"is not TOML: {why}") from why
     tables = raw.pop("loop", [])
     if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-        raise StudyError(str(path), "loop", "takes [[loop]] tables")
+        raise StudyError(str(path), "loop", "must be [[loop]] tables")
     merged = [overridden(raw, t) for t in tables] or [raw]
     checked = [_checked(str(path), one, tables[i] if tables else None, i) for i, one in enumerate(merged)]
     from mfc_analysis.study.parts import Parts
@@ -135,7 +135,7 @@ def read(path: str | os.PathLike[str]) -> Study:
 
 
 def overridden(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The base with some keys changed, table by table; a table that says anew what it is (DECIDING) is replaced."""
+    """The base with some keys changed, table by table; a table with a key of DECIDING is replaced."""
     out = dict(base)
     for key, value in changes.items():
         old = out.get(key)
@@ -149,17 +149,17 @@ def _check_cases(file: str, table: LoopTable) -> None:
     for span in table.ranges.given().values():
         count *= len(span.points())
     if count > MOST_CASES:
-        raise StudyError(file, "ranges", f"{count} combinations; takes up to {MOST_CASES}")
+        raise StudyError(file, "ranges", f"{count} combinations; at most {MOST_CASES} are allowed")
 
 
-# --- what pydantic found, in words ---------------------------------------------------------------------------------------
+# --- validation ----------------------------------------------------------------------------------------------------------
 
 
 def _checked(file: str, raw: dict[str, Any], changes: dict[str, Any] | None, index: int) -> StudyTable:
     try:
         return StudyTable.model_validate(raw)
     except ValidationError as why:
-        first = min(why.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")  # a misspelt key explains a missing one
+        first = min(why.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")  # a misspelt key is the cause of a missing one
         key, problem, allowed = explained(first, raw)
         if changes is not None and (has(changes, key) or not has(raw, key)):
             key = f"loop[{index}].{key}" if key else f"loop[{index}]"
@@ -167,7 +167,7 @@ def _checked(file: str, raw: dict[str, Any], changes: dict[str, Any] | None, ind
 
 
 def keys() -> dict[str, tuple[str, ...]]:
-    """Every table that a study may have, with the keys it takes; the kinds of ``reference`` one by one, poses and ranges once."""
+    """Every table of a study with its keys; the kinds of ``reference`` one by one, poses and ranges once."""
     shared: dict[type[Table], str] = {PoseTable: "(a pose)", SpanTable: "(a range)"}
     out: dict[str, tuple[str, ...]] = {}
 

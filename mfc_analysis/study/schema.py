@@ -1,4 +1,4 @@
-"""What a study file may say: the tables and keys of its TOML, as pydantic models. ``read.py`` turns them into loops."""
+"""The tables and keys of a study file, as pydantic models. ``read.py`` turns them into loops."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class FrictionTable(Table):
 
     viscous: Values | None = None  #: [N m s/rad, N s/m]
     coulomb: Values = 0.0  #: [N m, N]
-    coulomb_speed: Number | None = None  #: [rad/s, m/s] where its sign turns
+    coulomb_speed: Number | None = None  #: [rad/s, m/s] width of its sign change
 
 
 def _payloads(value: Any) -> Any:
@@ -63,7 +63,7 @@ def _friction(value: Any) -> Any:
 
 
 class BodyTable(Table):
-    """What plant and controller model may differ in."""
+    """The quantities in which plant and controller's model can differ."""
 
     name: str | None = None  #: an embedded robot, or one of ``mfc-analysis robots``
     load: str | None = None  #: an arm of example-robot-data
@@ -92,7 +92,7 @@ class RobotTable(BodyTable):
 
 
 class ModelTable(BodyTable):
-    """The controller's model: the plant's table with these keys changed (``payload = false``: it knows of no payload)."""
+    """The controller's model: the plant's table with these keys changed (``payload = false``: a model without payload)."""
 
 
 # --- law, contact, hardware ----------------------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ def _constraints(value: Any) -> Any:
 
 
 class LawTable(Table):
-    """The law, by equation number or class name, and what it takes."""
+    """The law, by equation number or class name, with its parameters."""
 
     equation: str | None = None
     name: str | None = None
@@ -220,7 +220,7 @@ class HardwareTable(Table):
     feedback: Literal["motor", "link"] = "motor"
 
 
-# --- what is asked -------------------------------------------------------------------------------------------------------
+# --- times, requirements, ranges -----------------------------------------------------------------------------------------
 
 
 class TimesTable(Table):
@@ -287,7 +287,7 @@ Span = Annotated[SpanTable, BeforeValidator(_span)]
 
 
 class RangesTable(Table):
-    """What may vary in the plant while the controller's model stays: every combination is checked."""
+    """The plant parameters that vary while the controller's model stays fixed. Every combination is checked."""
 
     payload: Span | None = None  #: [kg] mass of the (first) payload
     inertia_scale: Span | None = None
@@ -315,7 +315,7 @@ FORMATS: tuple[Format, ...] = ("html", "pdf", "json")
 
 
 class ReportTable(Table):
-    """How the report is made."""
+    """Options of the report."""
 
     name: str | None = None  #: of the files; default: the study's own
     sections: list[Literal["loop", "margins", "poles", "path", "run", "validation", "pose"]] | None = None  #: default: all
@@ -323,7 +323,7 @@ class ReportTable(Table):
 
 
 class LoopTable(Table):
-    """One loop of a study, and what is asked of it."""
+    """One loop of a study, and its requirements."""
 
     in_units: ClassVar[dict[str, str]] = {"q_start": "q_start_deg"}
     name: str | None = None
@@ -351,5 +351,5 @@ class StudyTable(LoopTable):
     loop: list[dict[str, Any]] = Field(default_factory=list)
 
 
-#: keys that say what a table is: a ``[[loop]]`` that names one of them replaces the table, else it changes some of its keys
+#: keys that define a table: a ``[[loop]]`` with one of them replaces the table; otherwise it changes some of its keys
 DECIDING: dict[str, Sequence[str]] = {"robot": ("name", "load", "urdf"), "law": ("equation", "name"), "reference": ("kind",)}

@@ -1,4 +1,4 @@
-"""Where the studies that ship are: ``reports/`` of the checkout, ``mfc_analysis/study/files`` of an installed package."""
+"""The folder of the shipped studies: ``reports/`` of a checkout, ``mfc_analysis/study/files`` of an installed package."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _HERE = Path(__file__).resolve().parent
 
 def folder() -> Path:
     """The folder of the studies."""
-    inside = _HERE / "files"  # in a checkout a link to reports/; where links are not made, a file
+    inside = _HERE / "files"  # in a checkout, a link to reports/; a file on systems without links
     return inside if inside.is_dir() else _HERE.parents[1] / "reports"
 
 
 def shipped() -> dict[str, tuple[Path, str]]:
-    """name -> (file, title) of each study that ships, in alphabetical order."""
+    """name -> (file, title) of each shipped study, in alphabetical order."""
     out = {}
     for file in sorted(folder().glob("*.toml")):
         out[file.stem] = (file, str(tomllib.loads(file.read_text(encoding="utf-8")).get("title", "")))
@@ -26,9 +26,9 @@ def shipped() -> dict[str, tuple[Path, str]]:
 
 
 def found(path: str | os.PathLike[str]) -> Path:
-    """The path itself where a file is there or it looks like one; else the shipped study of that name.
+    """The path itself if it exists or looks like a path; else the shipped study of that name.
 
-    Raises UnknownName for a bare word that is neither; it lists the study files of this folder and the shipped ones.
+    Raises UnknownName for any other name; the error lists the study files of this folder and the shipped ones.
     """
     given = Path(path)
     if given.exists() or given.suffix or given.parent != Path("."):
@@ -40,14 +40,14 @@ def found(path: str | os.PathLike[str]) -> Path:
 
 
 def copied(target: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Copies of all shipped studies in a folder, made if it isn't there. Raises BadArgument rather than overwrite one."""
+    """Copies all shipped studies into a folder, which is created if necessary. Raises BadArgument if a file exists."""
     out = []
     to = Path(target)
     to.mkdir(parents=True, exist_ok=True)
     for file, _ in shipped().values():
         copy = to / file.name
         if copy.exists():
-            raise BadArgument("--copy", str(copy), "a folder without files of these names")
+            raise BadArgument("--copy", str(copy), "a folder that has no file of this name")
         copy.write_bytes(file.read_bytes())
         out.append(copy)
     return tuple(out)

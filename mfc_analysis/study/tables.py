@@ -1,6 +1,6 @@
-"""The words of a study file: numbers, vectors, tables that take their keys and no other; and the tables of poses and references.
+"""The building blocks of a study file: numbers, vectors, tables with fixed keys; and the tables of poses and references.
 
-Units are SI and radians; a key that ends in ``_deg`` or ``_hz`` says so.
+Units are SI and radians, except for keys that end in ``_deg`` or ``_hz``.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from pydantic_core import PydanticCustomError
 
 
 def takes(what: str) -> PydanticCustomError:
-    """A refusal that says what is taken instead."""
+    """A validation error that names the values allowed."""
     return PydanticCustomError("takes", "{what}", {"what": what})
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite number, and no truth value."""
+    """Whether a value is a finite number, and not a boolean."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
@@ -58,7 +58,7 @@ Three = Annotated[list[float], PlainValidator(_three)]
 
 
 class Table(BaseModel):
-    """A table of a study: its keys and no other, each of its own type."""
+    """A table of a study, with fixed keys and types."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
     #: keys that may also be given as ``key_deg`` or ``key_hz``; never both
@@ -76,14 +76,14 @@ class Table(BaseModel):
         return {key: getattr(self, key) for key in type(self).model_fields if key in self.model_fields_set}
 
     def si(self, key: str) -> Any:
-        """The value of a key in SI and radians, whichever unit it was given in; None where it was not given."""
+        """The value of a key in SI and radians, from either unit; None if it was not given."""
         other = self.in_units.get(key)
         if other is None or getattr(self, other) is None:
             return getattr(self, key)
         return scaled(getattr(self, other), math.pi / 180 if other.endswith("_deg") else 2 * math.pi)
 
     def in_degrees(self) -> str | None:
-        """The first key given in degrees, None where there is none."""
+        """The first key given in degrees, None if there is none."""
         return next((other for other in self.in_units.values() if other.endswith("_deg") and getattr(self, other) is not None), None)
 
 
@@ -96,7 +96,7 @@ def scaled(value: Any, factor: float) -> Any:
 
 
 class PoseTable(Table):
-    """A pose: of the tool at a joint position (q; q_start where nothing is said), or position and orientation; then shifted and turned."""
+    """A pose: of the tool at a joint position (default: q_start), or position and orientation; then shifted and turned."""
 
     in_units: ClassVar[dict[str, str]] = {"q": "q_deg", "rpy": "rpy_deg", "turn": "turn_deg"}
     matrix: Values | None = None  #: 4x4
@@ -201,7 +201,7 @@ class CsvTable(Table):
 
 
 class ToolTable(Table):
-    """What the tool references share: ``inverse_kinematics = true`` turns them into a joint trajectory (9.14)."""
+    """Common keys of the tool references: ``inverse_kinematics = true`` turns them into a joint trajectory (9.14)."""
 
     inverse_kinematics: bool = False
 
