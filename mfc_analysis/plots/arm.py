@@ -1,4 +1,4 @@
-"""The arm as a stick figure at poses along its path, seen in the vertical plane in which it moves most, or from above."""
+"""The arm as a stick figure at poses along its path, in the coordinate plane in which it covers most."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def arm(
     title: str = "Poses along the path",
     ax: Axes | None = None,
 ) -> Axes:
-    """Sticks through the joint origins at up to seven poses; the worst one in colour; the tool's path dotted.
+    """Stick figures through the joint origins at up to seven poses, with the worst one in colour and the tool path dotted.
 
     Args:
         origins: (m, k, 3) [m]: world positions of base, joints and tool at m times. worst: index of the worst time.
-        view: "xy", "xz", "yz", or "widest": the one of these in which the arm covers most.
+        view: "xy", "xz", "yz", or "widest": the plane in which the arm covers most.
 
     Raises:
         BadArgument: for another shape or view.

@@ -1,4 +1,4 @@
-"""Many figures at once: over 20, two processes draw them."""
+"""Drawing many figures: two processes draw them if there are more than 20."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 from mfc_analysis.plots import figure as sheet
 
-MANY = 20  #: up to so many figures this process alone is faster: starting others takes about a second
+MANY = 20  #: up to this number of figures one process is faster: starting others takes about a second
 SHARE = 4  #: figures drawn between two calls of ``progress``
 
 
 def drawn(recipes: Sequence[Any], *, progress: Callable[[int], None] | None = None) -> list[str]:
-    """SVG of each recipe (a callable without arguments, or Axes drawn already), in order; the same bytes whoever draws them.
+    """SVG of each recipe (a callable without arguments, or finished Axes), in order; the same bytes from any process.
 
-    ``progress`` is called with the number of figures that came out since the last call.
+    ``progress`` is called with the number of figures finished since the last call.
     """
     shares = [recipes[k : k + SHARE] for k in range(0, len(recipes), SHARE)]
     out: list[list[str]] = []
@@ -28,7 +28,7 @@ def drawn(recipes: Sequence[Any], *, progress: Callable[[int], None] | None = No
                 progress(len(some))
 
     if len(recipes) > MANY:
-        with suppress(PicklingError):  # a recipe that cannot leave this process: it and those behind it are drawn here
+        with suppress(PicklingError):  # a recipe that does not pickle: it and those after it are drawn in this process
             keep(_in_two_processes(shares))
     keep(map(sheet.svgs, shares[len(out) :]))
     return [text for some in out for text in some]

@@ -1,4 +1,4 @@
-"""The loop as boxes on a wire, with its analysis points; the one in use is filled."""
+"""A block diagram of the loop with its analysis points; the one in use is filled."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mfc_analysis.plots import figure as sheet
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_TOP, _BOTTOM, _BOX = 1.12, 0.38, 0.52  # [inch] heights of the forward wire and of the way back, and a box's height
+_TOP, _BOTTOM, _BOX = 1.12, 0.38, 0.52  # [inch] heights of the forward path and of the feedback path, and of a box
 
 
 def block(
@@ -24,11 +24,11 @@ def block(
     inputs: Sequence[tuple[int, str]] = (),
     ax: Axes | None = None,
 ) -> Axes:
-    """A loop: reference, sum, the boxes of ``chain`` from left to right, and the way back.
+    """A loop: reference, summing junction, the boxes of ``chain`` from left to right, and the feedback path.
 
     Args:
         chain: (text of a box, name of the analysis point on the wire after it or ""), at most six; a text may have two lines.
-        back: the analysis point on the way back. at: the point in use. inputs: (index of a box, text): what else acts on that box, from above.
+        back: the analysis point on the feedback path. at: the one in use. inputs: (index of a box, text): another input of that box, from above.
 
     Raises:
         BadArgument: no box, or more than six.

@@ -1,4 +1,4 @@
-"""Two discs: Floquet multipliers in the unit circle, and the gains and phases that a disk margin allows at once."""
+"""Two disks: Floquet multipliers in the unit circle, and the simultaneous gain and phase variations of a disk margin."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def multipliers(values: ArrayLike, *, title: str = "Floquet multipliers", ax: Axes | None = None) -> Axes:
-    """Floquet multipliers (nx,) complex and the unit circle; the largest is named."""
+    """Floquet multipliers (nx,) complex and the unit circle; the largest is labelled."""
     found = np.asarray(values, complex).ravel()
     ax = ax if ax is not None else sheet.axes_for("disc")
     reach = 1.2 * max(1.0, float(np.abs(found).max(initial=0.0)))
@@ -47,13 +47,13 @@ def disk(
     *,
     alpha: float,
     index: int = 0,
-    title: str = "Gain and phase allowed at once",
+    title: str = "Allowed gain and phase",
     ax: Axes | None = None,
 ) -> Axes:
-    """The disc of complex factors that every loop may be multiplied by at once.
+    """The disk of complex factors that are allowed in all loops at once.
 
     Args:
-        gain: its ends on the real axis (factors; the upper may be inf). phase_deg: its phase alone [deg]. alpha: the disk margin.
+        gain: its limits on the real axis (factors; the upper may be inf). phase_deg: its pure phase [deg]. alpha: the disk margin.
     """
     low, high = gain
     ax = ax if ax is not None else sheet.axes_for("disc")

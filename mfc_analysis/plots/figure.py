@@ -1,7 +1,7 @@
-"""Sheets to draw on: fixed rectangles per kind of figure, colours of joints, SVG that is the same bytes every time.
+"""Layout of figures: fixed rectangles per kind of figure, colours of joints, reproducible SVG.
 
-``Figure`` without pyplot: no global state. Constrained or tight layout would double the time, so each kind has its axes at fixed places [inch];
-a test holds that no text leaves the sheet.
+``Figure`` without pyplot: no global state. Constrained or tight layout would double the time, so each kind has its axes at fixed positions [inch];
+a test checks that no text leaves the sheet.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
     from matplotlib.figure import Figure
 
-JOINTS = ("#0072b2", "#c44e00", "#00795a", "#9b3f84", "#7a6200", "#5a4fcf", "#8a5a44", "#3b6470")  #: a joint's colour, on every page
-LIMIT = "#3d444d"  #: what was asked
+JOINTS = ("#0072b2", "#c44e00", "#00795a", "#9b3f84", "#7a6200", "#5a4fcf", "#8a5a44", "#3b6470")  #: colours of the joints, the same on every page
+LIMIT = "#3d444d"  #: required limits
 GOOD, BAD = "#00795a", "#b3261e"
 GREY, GRID, SHADE = "#6b7280", "#d5d9de", "#fbeee4"
 INK = "#000000"
@@ -59,16 +59,16 @@ SHEETS: dict[str, Sheet] = {
     "block": Sheet((6.5, 1.9), ((0.0, 0.0, 6.5, 1.9),)),
 }
 
-_SAVING = threading.Lock()  # matplotlib reads its SVG settings from one global table while it writes
+_SAVING = threading.Lock()  # matplotlib uses global SVG settings while it writes
 
 
 def colour(index: int) -> str:
-    """The colour of joint ``index``; from the ninth on they repeat."""
+    """The colour of joint ``index``; the colours repeat from the ninth joint on."""
     return JOINTS[index % len(JOINTS)]
 
 
 def panels_for(kind: str) -> tuple[Axes, ...]:
-    """The axes of a new sheet of this kind, top first. Raises ``UnknownName`` for a kind that isn't there."""
+    """The axes of a new sheet of this kind, top first. Raises ``UnknownName`` for an unknown kind."""
     from matplotlib.figure import Figure
 
     if kind not in SHEETS:
@@ -83,7 +83,7 @@ def panels_for(kind: str) -> tuple[Axes, ...]:
 
 
 def axes_for(kind: str) -> Axes:
-    """The one (or uppermost) axes of a new sheet of this kind."""
+    """The only (or uppermost) axes of a new sheet of this kind."""
     return panels_for(kind)[0]
 
 
@@ -129,13 +129,13 @@ def note(
     mixed: bool = False,
     shift: tuple[float, float] = (0.0, 0.0),
 ) -> None:
-    """A remark at a point of the data (``inside``: of the axes, 0 to 1; ``mixed``: x of the data, y of the axes), moved by ``shift`` [pt]."""
+    """A text at data coordinates (``inside``: axes coordinates, 0 to 1; ``mixed``: x of the data, y of the axes), moved by ``shift`` [pt]."""
     where = ax.transAxes if inside else ax.get_xaxis_transform() if mixed else ax.transData
     ax.annotate(text, at, xycoords=where, xytext=shift, textcoords="offset points", fontsize=_SMALL, color=color, ha=ha, va=va, annotation_clip=False)
 
 
 def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = False) -> None:
-    """A legend without a frame; ``above``: in one line over the axes, at the right, its names shortened until they fit the sheet."""
+    """A legend without a frame; ``above``: in one line above the axes, at the right, with names shortened to fit the sheet."""
     handles, labels = ax.get_legend_handles_labels()
     if not handles:
         return
@@ -148,9 +148,9 @@ def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = Fal
 
 
 def fitting(labels: Sequence[str], room: float) -> list[str]:
-    """Labels of a legend in one line of ``room`` [inch]: a suffix that joints share goes first, then the ends of the longest.
+    """Labels of a legend in one line of ``room`` [inch]: a common suffix of the joints is removed first, then the ends of the longest.
 
-    Where cut ends leave two alike (LWristRoll, LWristYaw), the middles go instead.
+    If shortened names are no longer unique (LWristRoll, LWristYaw), the middles are removed instead.
     """
     out = [" ".join(str(x).split()) for x in labels]
     letters = int((room - 0.32 * len(out)) / 0.065)
@@ -166,7 +166,7 @@ def fitting(labels: Sequence[str], room: float) -> list[str]:
 
 
 def log_grid(ax: Axes, low: float, high: float) -> None:
-    """A logarithmic frequency axis with its minor grid as one collection of lines: half the bytes of minor ticks."""
+    """A logarithmic frequency axis with its minor grid as one collection of lines, half the bytes of minor ticks."""
     import numpy as np
     from matplotlib.ticker import LogLocator, NullLocator
 
@@ -182,7 +182,7 @@ def log_grid(ax: Axes, low: float, high: float) -> None:
 
 
 def written(value: float, digits: int = 3) -> str:
-    """A number for a remark in a figure."""
+    """A number for a text in a figure."""
     return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
 
 
@@ -198,7 +198,7 @@ def tick(value: float) -> str:
 
 
 def empty(ax: Axes, text: str, color: str = INK) -> None:
-    """Says in the middle of the axes why nothing is drawn there, and takes the numbers off its y axis."""
+    """Writes in empty axes why nothing is drawn, and removes the tick labels of the y axis."""
     ax.set_yticks([])
     note(ax, text, (0.5, 0.5), color=color, ha="center", inside=True)
 
@@ -214,7 +214,7 @@ def decade(value: float) -> str:
 
 
 def figure_of(drawn: Any) -> Figure:
-    """The figure of what a recipe returned: Axes, several Axes, or a Figure."""
+    """The figure of a recipe's result: Axes, several Axes, or a Figure."""
     if isinstance(drawn, (tuple, list)):
         drawn = drawn[0]
     found: Figure = getattr(drawn, "figure", drawn)
@@ -222,14 +222,14 @@ def figure_of(drawn: Any) -> Figure:
 
 
 def font_folder() -> str:
-    """The folder of the fonts that figures are set in: matplotlib's own."""
+    """The folder of the fonts of the figures: those of matplotlib."""
     import matplotlib
 
     return os.path.join(matplotlib.get_data_path(), "fonts", "ttf")
 
 
 def settings() -> dict[str, Any]:
-    """matplotlib's own defaults with ours on top, whatever the user's matplotlibrc says."""
+    """matplotlib's defaults with the settings of this package, independent of the user's matplotlibrc."""
     import matplotlib
 
     rc = {k: v for k, v in matplotlib.rcParamsDefault.items() if not k.startswith(("backend", "webagg", "tk.", "macosx", "date."))}
@@ -245,7 +245,7 @@ def settings() -> dict[str, Any]:
 
 
 def svg(recipe: Any) -> str:
-    """A figure as SVG: same input, same bytes. ``recipe``: a callable without arguments, or what one returned."""
+    """A figure as SVG: same input, same bytes. ``recipe``: a callable without arguments, or its result."""
     return svgs([recipe])[0]
 
 

@@ -1,4 +1,4 @@
-"""Bode and Nyquist plots of one loop, its margins drawn on the curve. What the margins are is given; here they're only placed."""
+"""Bode and Nyquist plots of one loop with its margins. The margins are given; they are not computed here."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def phase_deg(L: ArrayLike, frequencies: ArrayLike, crossover: float = np.nan) -> Array:
-    """Phase [deg] without jumps, shifted by whole turns so that at the crossover it lies within 180 degrees of -180. L: (nf,) complex."""
+    """Unwrapped phase [deg], shifted by multiples of 360 so that it is within 180 degrees of -180 at the crossover. L: (nf,) complex."""
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)
     out: Array = np.degrees(np.unwrap(np.angle(values)))
     if np.isfinite(crossover) and crossover > 0:
@@ -37,15 +37,15 @@ def bode(
     increase_frequency: float | None = None,
     reduction_frequency: float | None = None,
     index: int = 0,
-    title: str = "Open loop L(jω)",
+    title: str = "Open-loop response L(jω)",
     axes: tuple[Axes, Axes] | None = None,
 ) -> tuple[Axes, Axes]:
-    """Magnitude and phase of L over frequency [rad/s], the phase margin at its crossover and both gain margins drawn on the curve.
+    """Magnitude and phase of L over frequency [rad/s], with the phase margin at its crossover and both gain margins marked.
 
     Args:
         frequencies: (nf,) [rad/s]; L: (nf,) complex.
         crossover [rad/s], phase_margin [deg], gain_increase and gain_reduction (factors), and their frequencies [rad/s]: as in ``Margins``.
-            Without its frequency a gain margin stands where the drawn curve crosses the negative real axis.
+            Without its frequency, a gain margin is drawn where the curve crosses the negative real axis.
         index: the joint, for its colour.
     """
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)
@@ -134,9 +134,9 @@ def nyquist(
     title: str = "Nyquist",
     ax: Axes | None = None,
 ) -> Axes:
-    """L in the complex plane for positive (solid) and negative (dashed) frequencies, the unit circle, and the disc of radius 1/Ms about -1.
+    """L in the complex plane for positive (solid) and negative (dashed) frequencies, the unit circle, and the disk of radius 1/Ms about -1.
 
-    L never enters that disc. Keywords as for ``bode``.
+    L stays outside that disk. Keywords as for ``bode``.
     """
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)
     ax = ax if ax is not None else sheet.axes_for("nyquist")

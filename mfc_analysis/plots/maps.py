@@ -1,4 +1,4 @@
-"""Stability maps over two parameters: two flat regions and their boundary (never one cell a pixel), and simulated points on both sides."""
+"""Stability maps over two parameters: two flat regions with their boundary (no pixel image), and simulated points on both sides."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def stability_map(
     title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Where a loop is stable over two parameters.
+    """The stability region of a loop over two parameters.
 
     Args:
         x: (nx,), y: (ny,). growth: (ny, nx), negative where stable (e.g. the largest real part of the poles); its zero is the boundary,
             NaN counts as unstable.
-        log: axes that are logarithmic: "x", "y", "xy" or "". points: (x, y, stable) of simulated runs, marked on top.
+        log: logarithmic axes: "x", "y", "xy" or "". points: (x, y, stable) of simulated runs, marked on top.
 
     Raises:
         BadArgument: ``growth`` of another shape.
@@ -74,7 +74,7 @@ def _mark(ax: Axes, points: Sequence[tuple[float, float, bool]]) -> None:
 
 
 def _words(ax: Axes, flat: np.ndarray) -> None:
-    """Names the regions at the middle of each: colour alone tells nothing."""
+    """Labels each region at its middle, so that the plot does not depend on colour alone."""
     rows, columns = flat.shape
     for word, inside in (("stable", flat < 0), ("unstable", flat >= 0)):
         if inside.mean() < 0.04:
@@ -86,7 +86,7 @@ def _words(ax: Axes, flat: np.ndarray) -> None:
 
 
 def _depth(inside: np.ndarray) -> np.ndarray:
-    """How many cells from the edge of its region each cell lies."""
+    """Distance of each cell from the edge of its region, in cells."""
     depth = np.zeros(inside.shape)
     padded = np.pad(inside, 1)
     while padded.any():

@@ -1,4 +1,4 @@
-"""Margins against time: a line per channel, what was asked as a dashed line, the worst place marked."""
+"""Margins against time: one line per channel, the required limit dashed, the worst case marked."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def metric_values(found: Any, metric: str) -> Array:
 
 
 def margins(found: Any, *, metric: str = "phase_deg", asked: float | None = None, ax: Axes | None = None) -> Axes:
-    """One metric of a ``Margins`` against time, a line per channel, the worst one marked.
+    """One metric of a ``Margins`` against time, one line per channel, with the worst value marked.
 
     Args:
-        found: ``times`` (m,) [s], ``channels`` (n,), ``stable`` (m,), and the metric (m, n); NaN where unstable, inf where nothing
-            limits (not drawn, said).
+        found: ``times`` (m,) [s], ``channels`` (n,), ``stable`` (m,), and the metric (m, n); NaN where unstable, inf where there
+            is no limit (stated, not drawn).
         metric: "phase_deg", "gain_increase_db", "gain_reduction_db", "delay" (drawn in ms, ``asked`` in s) or "sensitivity_peak".
     """
     alone = ax is None
@@ -67,7 +67,7 @@ def margins(found: Any, *, metric: str = "phase_deg", asked: float | None = None
         said = "no limit at any time" if np.isposinf(values).any() else "unstable at every time"
         sheet.empty(ax, said)
     elif not np.isfinite(values[np.asarray(found.stable, bool)]).all():
-        sheet.note(ax, "no limit where no line is drawn", (0.99, 0.93), color=sheet.GREY, ha="right", inside=True)
+        sheet.note(ax, "no line: no limit", (0.99, 0.93), color=sheet.GREY, ha="right", inside=True)
     sheet.label(ax, "t [s]", _NAMES[metric])
     if alone and len(found.channels) > 1:
         sheet.legend(ax, above=True)
@@ -81,7 +81,7 @@ def margin_history(
     metrics: tuple[str, ...] | None = None,
     title: str = "",
 ) -> tuple[Axes, ...]:
-    """Several metrics of a ``Margins`` above one another, with the limits of ``asked`` (by the names of ``Requirements``).
+    """Several metrics of a ``Margins`` in stacked axes, with the limits of ``asked`` (by the names of ``Requirements``).
 
     ``metrics``: one to four of those of ``margins``; default: phase, the tighter side of the gain, delay, sensitivity peak.
     """

@@ -1,4 +1,4 @@
-"""Pole map: log-symmetric axes, so that slow and fast poles are seen together; rays of equal damping; the unstable side shaded."""
+"""Pole map: symmetric logarithmic axes that show slow and fast poles together, rays of equal damping, the unstable side shaded."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def poles(
     """Poles in the complex plane.
 
     Args:
-        values: (nx,) complex [1/s], or in z if ``discrete``: then on a linear plane with the unit circle.
-        damping: a required damping ratio, drawn as a dashed ray beside those of 0.3 and 0.7. path: (m, nx) the poles at other times, in grey.
+        values: (nx,) complex [1/s], or in z if ``discrete``: then on linear axes with the unit circle.
+        damping: a required damping ratio, drawn as a dashed ray; default: rays of 0.3 and 0.7. path: (m, nx) the poles at other times, in grey.
     """
     s = np.asarray(values, complex).ravel()
     ax = ax if ax is not None else sheet.axes_for("pole map")
@@ -80,7 +80,7 @@ def _half_plane(ax: Axes, s: np.ndarray, damping: float | None) -> None:
 
 
 def _thin(ax: Axes) -> None:
-    """At most five tick labels on the real axis: decades lie close together in a small map."""
+    """At most five tick labels on the real axis: decades are close together in a small map."""
     from matplotlib.ticker import FixedLocator, FuncFormatter
 
     for axis, limits, most in ((ax.xaxis, ax.get_xlim(), 5), (ax.yaxis, ax.get_ylim(), 9)):

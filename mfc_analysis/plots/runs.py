@@ -1,4 +1,4 @@
-"""Simulated runs and other traces against time: a line per joint, limits dashed, events marked."""
+"""Simulated runs and other traces against time: one line per joint, limits dashed, events marked."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from mfc_analysis.plots import figure as sheet
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MANY = 3  #: names in a legend beside which the names of line styles have no room
+MANY = 3  #: most names in a legend that leave room for the names of the line styles
 _KINDS = ("time history", "two histories", "three histories", "four histories")
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One panel: what and its unit, values (m,) or (m, n), and a limit or a dashed comparison of the same shape, if any."""
+    """One panel: quantity with unit, values (m,) or (m, n), and optionally a limit or a dashed comparison of the same shape."""
 
     quantity: str  #: "error [rad]"
     values: ArrayLike
-    limit: float | None = None  #: drawn at both signs unless all values are of one sign
+    limit: float | None = None  #: drawn with both signs unless all values have one sign
     beside: ArrayLike | None = None  #: another run of the same quantity, dashed in the same colours
     log: bool = False
 
@@ -40,7 +40,7 @@ def traces(
     said: tuple[str, str] | None = None,
     first: int = 0,
 ) -> tuple[Axes, ...]:
-    """One to four panels above one another over time.
+    """One to four stacked panels over time.
 
     Args:
         t: (m,) [s]. names: one for each column. events: (time [s], word), drawn as vertical lines. said: names of the solid and the dashed lines.

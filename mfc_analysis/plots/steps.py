@@ -1,4 +1,4 @@
-"""Step responses: the linear prediction over the nonlinear run, and the torque that it takes."""
+"""Step responses: linear prediction, nonlinear simulation, and the torque."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def step(
 
     Args:
         t: (m,) [s], y: (m,) of the linear model. nonlinear: (t, y) of the simulated run. torque: (t, tau) [Nm], of the
-            nonlinear run where there is one.
-        target: where it should end; band: half width of the settling band, in the unit of y.
+            nonlinear run, if given.
+        target: the final value; band: half width of the settling band, in the unit of y.
     """
     upper, lower = axes if axes is not None else sheet.panels_for("step")
     time = np.asarray(t, float)
