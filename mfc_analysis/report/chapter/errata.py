@@ -185,7 +185,7 @@ def kinematics_section() -> Section:
     compare = two(
         (
             "As printed", Status.WATCH,
-            (Equation('dot("V")_b = dot(J)_b dot(q) J_b dot.double(q), quad "F"_b = Lambda dot("V") + dot(eta)', "missing plus sign, dot on eta", "9.15"),
+            (Equation('dot("V")_b = dot(J)_b dot(q) J_b dot.double(q), quad "F"_b = Lambda dot("V") + dot(eta)', "missing plus, dot on eta", "9.15"),
              facts(("Torque error without the term", Number(missed, "Nm")))),
         ),
         (

@@ -1,4 +1,4 @@
-"""One self-contained HTML file of a document: Jinja2 with autoescape on; only our own SVG and MathML are marked safe."""
+"""One self-contained HTML file of a document: Jinja2 with autoescape on; only generated SVG and MathML are marked safe."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SVG = "http://www.w3.org/2000/svg"
 _XLINK = "http://www.w3.org/1999/xlink"
 _DROPPED = frozenset(("metadata", "title", "desc", "script", "foreignObject"))
 
-#: colours of the figures -> custom properties of the style sheet, which has another value of each for dark pages
+#: colours of the figures -> custom properties of the style sheet, which has a second value of each for dark pages
 COLOURS = {
     "#000000": "currentColor",
     "#0072b2": "var(--j0)",
@@ -79,7 +79,7 @@ def _template() -> Any:
 
 
 def script_json(data: Any) -> str:
-    """JSON that may stand inside a script element: no ``<``, ``>``, ``&`` and no line separators in it."""
+    """JSON that is safe inside a script element: without ``<``, ``>``, ``&`` and line separators."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"), sort_keys=True)
     for bad in "<>&\u2028\u2029":
         text = text.replace(bad, f"\\u{ord(bad):04x}")
@@ -87,7 +87,7 @@ def script_json(data: Any) -> str:
 
 
 def inline_svg(text: str, key: str, alt: str) -> dict[str, Any]:
-    """A matplotlib SVG ready to stand in the page: ids prefixed, prolog and metadata gone, colours made properties, named by ``alt``.
+    """A matplotlib SVG prepared for the page: ids prefixed, prolog and metadata removed, colours as properties, named by ``alt``.
 
     Returns the markup, and its width and height [pt].
     """

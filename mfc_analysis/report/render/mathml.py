@@ -1,6 +1,6 @@
-"""Equations: Typst mathematics into MathML, all of a document in one compile, and what browsers need mended in it.
+"""Equations: Typst mathematics as MathML, all of a document in one compilation, with corrections for browsers.
 
-Browsers set a combining accent over a letter at the wrong height, and stretch parentheses around flat content; both are mended here by walking the
+Browsers set a combining accent over a letter at the wrong height, and stretch parentheses around flat content. Both are corrected in the
 XML: accents become spacing characters, and fences around flat content get ``stretchy="false"``.
 """
 
@@ -20,7 +20,7 @@ _TALL = frozenset(("mfrac", "mtable", "munder", "mover", "munderover", "msqrt", 
 
 
 def mathml(equations: Mapping[str, tuple[str, bool]]) -> dict[str, str]:
-    """MathML of each equation: id -> (Typst source, display?) becomes id -> markup. Sources are ours (``section.Math`` checks them)."""
+    """MathML of each equation: id -> (Typst source, display?) becomes id -> markup. The sources are trusted (``section.Math`` checks them)."""
     if not equations:
         return {}
     import typst
@@ -33,7 +33,7 @@ def mathml(equations: Mapping[str, tuple[str, bool]]) -> dict[str, str]:
         page: bytes = typst.compile(str(source), format="html", ignore_system_fonts=True)
     body = ElementTree.fromstring(_body(page.decode("utf-8")))
     found = list(body.iter("math"))
-    assert len(found) == len(keys), "one formula an element"
+    assert len(found) == len(keys), "one formula per element"
     return {key: _mended(node, equations[key][1]) for key, node in zip(keys, found, strict=True)}
 
 

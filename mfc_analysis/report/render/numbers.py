@@ -1,4 +1,4 @@
-"""The numbers of a document as JSON: the same sections, checks and tables that the pages show. Infinity and NaN are words."""
+"""The numbers of a document as JSON: the sections, checks and tables of the pages. Infinity and NaN are words."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def plain(value: Any, infinite: str = "infinite", undefined: str = "not defined"
 
 
 def _pairs(document: s.Document, roots: list[dict[str, Any]]) -> list[tuple[s.Section, dict[str, Any]]]:
-    """Our own sections beside their plain form; those computed for the pages (matrix, worst case, symbols) have no numbers of their own."""
+    """The sections of the document with their plain form; those added for the pages (matrix, worst case, symbols) have no numbers."""
     mine = [*document.sections, *document.appendices]
     titles = iter(roots)
     out = []

@@ -1,6 +1,6 @@
 """PDF by Typst from the same tree as the HTML: PDF/A-2a and PDF/UA-1, matplotlib's fonts, no system fonts, nothing downloaded.
 
-Texts reach Typst as JSON and are set as strings; only our own equations (``section.Math`` checks them) are written as source.
+Texts reach Typst as JSON and are set as strings; only equations (``section.Math`` checks them) are written as source.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ STANDARDS: Final[list[Literal["a-2a", "ua-1"]]] = ["a-2a", "ua-1"]
 def pdf(tree: Tree, drawings: Mapping[str, str], scrubbers: Mapping[str, Moving], version: str, timestamp: int = 0) -> bytes:
     """The PDF's bytes. ``drawings``: SVG text by figure id. ``timestamp`` [s since 1970] is the document's date.
 
-    The date is an input, so that same input gives same bytes.
+    The date is an input, so that the same input gives the same bytes.
     """
     import typst
 

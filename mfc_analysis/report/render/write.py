@@ -1,4 +1,4 @@
-"""Writing a document: HTML, PDF and JSON of one tree into one folder, the same bytes for the same input."""
+"""Writes a document as HTML, PDF and JSON from one tree into one folder: the same bytes for the same input."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def render(
     """Writes ``folder/name.html``, ``.pdf`` and ``.json``; returns the path of each format.
 
     Args:
-        folder: made if it isn't there. Nothing is written outside of it: the files' name is ``document.name`` reduced to a-z, 0-9 and hyphens.
-        timestamp: the PDF's date [s since 1970]; a date is an input, never the clock.
+        folder: created if necessary. Nothing is written outside it: the file name is ``document.name`` reduced to a-z, 0-9 and hyphens.
+        timestamp: the PDF's date [s since 1970]; an input, never the clock.
         progress: called with (done, of how many) after each figure and each format.
 
     Raises:
-        BadArgument: for a format that isn't there, or a folder that is a file.
+        BadArgument: for an unknown format, or a folder that is a file.
     """
     from mfc_analysis.report.document.tree import slug
 
@@ -52,7 +52,7 @@ def render(
 
 
 def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp: int = 0, progress: Progress | None = None) -> dict[str, bytes]:
-    """The bytes of each format, in the order asked for."""
+    """The bytes of each format, in the given order."""
     from mfc_analysis.report.document.tree import tree
     from mfc_analysis.report.render.numbers import numbers, to_json
 
@@ -86,7 +86,7 @@ def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp:
 
 
 class _Count:
-    """Adds up what is done."""
+    """Counts finished figures and formats."""
 
     def __init__(self, told: Progress | None, total: int) -> None:
         self.told, self.total, self.done = told, total, 0
