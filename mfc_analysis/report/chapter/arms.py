@@ -146,7 +146,7 @@ def decibels(factor: ArrayLike) -> Any:
 
 
 def per_joint(values: ArrayLike) -> str:
-    """Range of a per-joint value as text: "3.2" or "3.2 to 5.4"."""
+    """Range of some values, such as one per joint, as text: "3.2" or "3.2 to 5.4"."""
     from mfc_analysis.report.document.document import written
 
     x = np.ravel(np.asarray(values, float))

@@ -77,7 +77,7 @@ def logarithm_section() -> Section:
     away = float(np.abs(runs["printed"] - closed).max())
     took = {form: float(np.interp(-0.01 * start, -angle, t)) for form, angle in runs.items()}
     cost = (
-        f"From {start:g} rad, the printed difference takes {written(took['printed'])} s to 1 %, the logarithm {written(took['standard'])} s. "
+        f"From {start:g} rad, the printed difference takes {written(took['printed'])} s to reach 1 %, the logarithm {written(took['standard'])} s. "
         "The angular part of the difference is sin(angle), which vanishes as the angle approaches π. Near the reference both forms agree."
     )
     figure = Figure(

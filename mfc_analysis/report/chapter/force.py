@@ -101,7 +101,7 @@ def contact_section() -> Section:
         Equation('g + J^top "F"_"tip" = tau', "quasi-static balance", "9.20"),
         Paragraph(
             (
-                "Both loops run 9.23 on a surface of 10 kN/m. The slider's mass and surface alone resonate at ",
+                "Both loops use 9.23 on a surface of 10 kN/m. The slider's mass and surface alone resonate at ",
                 Math("sqrt(k_e slash m)"),
                 f" = {written(spring)} rad/s.",
             )

@@ -76,8 +76,8 @@ def sections(designs: Designs | None = None) -> tuple[Section, ...]:
     given = designs or Designs()
     inner = (velocity_feedforward(given), velocity_pi(given), torque_feedforward(given), computed_torque(given), triple(given))
     missed = [s.title for s in inner if s.numbers["standard"]["stable"] and not s.numbers["printed"]["stable"]]
-    turned = f"{', '.join(missed)}: the misprint makes a stable loop unstable" if missed else "none makes a stable loop unstable"
-    finding = f"Of {len(inner)} misprints in the joint-space equations: {turned}. Each section gives the effect in numbers."
+    turned = f"the following make a stable loop unstable: {', '.join(missed)}" if missed else "none makes a stable loop unstable"
+    finding = f"Of {len(inner)} misprints in the joint-space equations, {turned}. Each section gives the effect in numbers."
     return (Section("Effect of the misprints in the joint-space equations", finding, sections=inner, key="misprints"),)
 
 

@@ -13,6 +13,7 @@ from mfc_analysis.design.stiffness import StabilityMap, over_stiffness, stable_u
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.report.chapter.arms import per_joint
 from mfc_analysis.report.chapter.force import KDAMP, KFI, KFP, MASS, POSE, SOURCES, Z, arm_loop, slider_loop
 from mfc_analysis.report.chapter.pieces import agreement, at_least, pole_map
 from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Row, Section, Table, Text, written
@@ -82,7 +83,7 @@ def ideal_section() -> Section:
     edges = np.array([edge(found.map.values, found.map.growth[:, j]) for j in range(len(SPAN))])
     finding: Text = (
         "The stability of the ideal loop does not depend on the stiffness: from 100 N/m to 1 MN/m the largest integral gain is ",
-        f"{written(float(edges.min()))} to {written(float(edges.max()))} 1/s; the closed form is ",
+        f"{per_joint(edges)} 1/s; the closed form is ",
         Math('(b + k_"damp")(1 + k_"fp") slash m'),
         f" = {written(limit)} 1/s.",
     )

@@ -123,7 +123,7 @@ def requirements(section: Section) -> Table:
         Column("Where", numeric=False),
     )
     return Table(
-        "Requirements of this loop, the worst first.",
+        "Checks of this section, the worst first.",
         columns,
         tuple((c.label, found_of(c), limit_of(c), c.status, distance_of(c), c.place) for c in rows),
     )

@@ -161,7 +161,7 @@ class View:
         line, checks = self.verdict.worst, self.checks
         if self.verdict.status == "PASS":
             asked = len(checks)
-            lead = "Stable along the whole path" if asked == 1 else f"All {asked} limits are met"
+            lead = "Stable along the whole path" if asked == 1 else f"All {asked} requirements are met"
             return f"{lead}; {self.tightest()}."
         said = checks[0]
         place = f" ({said.place})" if said.place else ""
