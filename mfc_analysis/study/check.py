@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mfc_analysis.requirements.requirements import Verdict
     from mfc_analysis.study.read import Study, StudyLoop
 
-COLUMNS = ("result", "requirement", "asked", "found", "where", "when", "case")
+COLUMNS = ("result", "requirement", "required", "value", "where", "when", "case")
 
 Progress = Callable[[str, int, int], None]
 

@@ -30,7 +30,7 @@ def test_check_ends_with_0_when_met_and_shows_asked_found_where_when(tmp_path):
 def test_check_ends_with_1_when_not_met_and_says_what_where_when(tmp_path):
     done = run("check", small(tmp_path, 89.0))
     assert done.exit_code == 1
-    assert re.search(r"FAIL: JointPID on single_joint: phase margin: found [\d.]+ deg, asked ≥ 89 deg \(joint, t = 0 s\)", done.stdout)
+    assert re.search(r"FAIL: JointPID on single_joint: phase margin: found [\d.]+ deg, required ≥ 89 deg \(joint, t = 0 s\)", done.stdout)
 
 
 def test_check_ends_with_2_for_bad_input_and_names_the_nearest_key(tmp_path):
@@ -71,7 +71,7 @@ def test_the_commented_study_is_met_and_with_a_doubled_payload_it_is_not(tmp_pat
     heavy.write_text(text.replace("\nmass = 2.0 ", "\nmass = 4.0 "), encoding="utf-8")
     done = run("check", heavy)
     assert done.exit_code == 1
-    found = r"FAIL: ComputedTorque on ur5: tracking error: found [\d.]+ rad or m, asked ≤ 0\.05 rad or m"
+    found = r"FAIL: ComputedTorque on ur5: tracking error: found [\d.]+ rad or m, required ≤ 0\.05 rad or m"
     assert re.search(found + r" \(\w+_joint, t = [\d.]+ s\)", done.stdout)
 
 

@@ -377,7 +377,7 @@ def inverse_dynamics(designs: Designs) -> Section:
     j = int(np.nanargmax(np.abs(change))) if np.isfinite(change).any() else 0
     finding = (
         f"From the command, the exact arms are decoupled double integrators 1/s² to a relative error of {written(max(gaps[:-1]))}. With the"
-        f" unknown payload the error of the UR5 is {written(gaps[-1])}, and the phase margins of its joints, all {per_joint(exact)}° by "
+        f" unknown payload the error of the UR5 is {written(gaps[-1])}, and the phase margins of its joints, {per_joint(exact)}° by "
         f"design, become {per_joint(true)}° (largest change {written(float(change[j]))}°, {arms()[-1].robot.joint_names[j]})."
     )
     equations = (
