@@ -95,7 +95,7 @@ def test_the_controller_leaves_friction_alone_where_it_outweighs_the_damping_of_
 @pytest.mark.parametrize(("robot", "unit"), [("ur5", "[rad]"), ("slider", "[m]"), ("rp", "[rad, m]")])
 def test_the_start_says_its_unit(robot, unit):
     text = study_for(getattr(mfc.robots, robot)(), f'name = "{robot}"', "s.toml")
-    assert next(line for line in text.splitlines() if "stands at the start" in line).endswith(f"{unit}.")
+    assert next(line for line in text.splitlines() if "Joint positions at the start" in line).endswith(f"{unit}.")
 
 
 def test_names_that_would_break_out_of_a_comment_or_a_text_do_not():
