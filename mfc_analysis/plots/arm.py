@@ -1,4 +1,4 @@
-"""The arm as a stick figure at poses along its path, in the coordinate plane in which it covers most."""
+"""The arm as a stick figure at poses along its path, in the coordinate plane with the largest extent."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def arm(
 
     Args:
         origins: (m, k, 3) [m]: world positions of base, joints and tool at m times. worst: index of the worst time.
-        view: "xy", "xz", "yz", or "widest": the plane in which the arm covers most.
+        view: "xy", "xz", "yz", or "widest": the plane with the largest extent.
 
     Raises:
         BadArgument: for another shape or view.

@@ -87,7 +87,7 @@ class RobotTable(BodyTable):
         if sum(source is not None for source in (self.name, self.load, self.urdf)) != 1:
             raise takes("exactly one of name, load and urdf")
         if self.parameters and self.name not in EMBEDDED:
-            raise takes(f"parameters only beside the name of an embedded robot ({', '.join(EMBEDDED)})")
+            raise takes(f"parameters only with the name of an embedded robot ({', '.join(EMBEDDED)})")
         return self
 
 

@@ -117,7 +117,7 @@ class PoseTable(Table):
             raise takes("at most one of matrix, position, q and q_deg")
         turned = sum(x is not None for x in (self.rpy, self.rpy_deg, self.quaternion_xyzw))
         if turned > 1 or (turned and self.position is None):
-            raise takes("one of rpy, rpy_deg and quaternion_xyzw, beside position")
+            raise takes("one of rpy, rpy_deg and quaternion_xyzw, together with position")
         return self
 
 

@@ -74,7 +74,7 @@ def write_chapter(
 
 
 def collected() -> tuple[Part, ...]:
-    """The ``sections`` function of each module of ``PARTS`` that is there."""
+    """The ``sections`` function of each available module of ``PARTS``."""
     out = []
     for name in PARTS:
         if find_spec(f"{ROOM}.{name}") is not None:
