@@ -41,7 +41,7 @@ class Achieved:
 
 
 @dataclass(frozen=True, eq=False)
-class Gains(Mapping[str, Value]):
+class Gains(Mapping[str, Any]):  # Any: ** must fit every parameter of a law, those that are no gains as well
     """Gains that unpack into a law, with the reason for them. A mapping of the gains this design has, in SI units."""
 
     gains: Mapping[str, Value]  #: the gains by the law's argument names
@@ -52,7 +52,7 @@ class Gains(Mapping[str, Value]):
     achieved: Achieved | None  #: measured on that loop; None where the loop is a matrix
     notes: tuple[str, ...] = field(default=())  #: what else to know, a sentence each
 
-    def __getitem__(self, name: str) -> Value:
+    def __getitem__(self, name: str) -> Any:
         return self.gains[name]
 
     def __iter__(self) -> Iterator[str]:
