@@ -4,15 +4,15 @@
 
     MfcError
     +-- BadArgument          an argument has the wrong shape, type, sign or is not finite     (ValueError)
-    |   +-- UnknownName      a frame, joint, robot, law or axis that isn't there; lists the known ones
-    |   +-- UnknownPoint     a loop cannot be opened there; lists where it can
+    |   +-- UnknownName      an unknown frame, joint, robot, law or axis; lists the known ones
+    |   +-- UnknownPoint     the loop cannot be opened at this analysis point; lists those where it can
     |   +-- Unsupported      an argument is understood but does not apply to this loop
     +-- BadRobot             a model that cannot be analysed: no mass, floating base, joints with nv != 1  (ValueError)
     +-- NearSingular         a Jacobian is nearly singular: time, frame, smallest singular value (ValueError)
-    +-- NotConverged         an inverse kinematics, equilibrium or shooting search that did not converge (ValueError)
+    +-- NotConverged         an inverse kinematics, equilibrium or shooting search does not converge (ValueError)
     +-- NearPi               a pose error within 1e-3 rad of pi, where log6 jumps (ValueError)
 
-Warnings: ``MfcWarning`` (a ``UserWarning``) for what is suspicious but still has an answer.
+Warnings: ``MfcWarning`` (a ``UserWarning``) for suspicious input that still has a result.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MOST_NAMES = 40  #: names that a message lists; a whole humanoid has hundreds of
 
 
 class MfcError(Exception):
-    """Base of all errors of this package. They pickle, so that a worker's error reaches the process that asked."""
+    """Base class of all errors of this package. They pickle, so that the error of a worker reaches its parent process."""
 
     def __reduce__(self) -> Any:
         return _restored, (type(self), self.args, vars(self))
@@ -38,11 +38,11 @@ def _restored(kind: type[MfcError], args: tuple[Any, ...], data: dict[str, Any])
 
 
 class MfcWarning(UserWarning):
-    """Something suspicious that still has an answer."""
+    """Suspicious input that still has a result."""
 
 
 class BadArgument(MfcError, ValueError):
-    """An argument has the wrong shape, type or sign, or is not finite: names it, what it got and what it takes."""
+    """An argument has the wrong shape, type or sign, or is not finite. The message names the argument, its value and what it takes."""
 
     def __init__(self, argument: str, got: Any, takes: str) -> None:
         self.argument, self.got, self.takes = argument, got, takes
@@ -50,7 +50,7 @@ class BadArgument(MfcError, ValueError):
 
 
 class UnknownName(BadArgument):
-    """A name that isn't there; ``known`` lists all those that are, the message the nearest and at most ``MOST_NAMES``."""
+    """An unknown name. ``known`` lists all known names; the message lists the nearest, at most ``MOST_NAMES``."""
 
     def __init__(self, argument: str, got: Any, known: Iterable[str]) -> None:
         self.known = tuple(known)
@@ -81,11 +81,11 @@ class BadRobot(MfcError, ValueError):
 
 
 class NearSingular(MfcError, ValueError):
-    """A Jacobian too close to singular to be inverted."""
+    """A Jacobian is too close to singular to be inverted."""
 
     def __init__(self, frame: str, sigma_min: float, condition: float, time: float | None = None, index: int = 0) -> None:
         self.frame, self.sigma_min, self.condition, self.time = frame, sigma_min, condition, time
-        self.index = index  #: which of the points that were evaluated, counted through
+        self.index = index  #: flat index of the configuration
         when = "" if time is None else f" at t = {time:.4g} s"
         super().__init__(
             f"the Jacobian of frame {frame!r} is nearly singular{when}: smallest singular value {sigma_min:.3g}, condition number {condition:.3g}; "
@@ -93,27 +93,27 @@ class NearSingular(MfcError, ValueError):
         )
 
     def at(self, time: float | None) -> NearSingular:
-        """The same with its time [s], where it has none yet."""
+        """The same error with a time [s], if it has none."""
         return NearSingular(self.frame, self.sigma_min, self.condition, time if self.time is None else self.time, self.index)
 
 
 class NotConverged(MfcError, ValueError):
-    """A search (inverse kinematics, equilibrium, periodic orbit) that did not converge."""
+    """A search (inverse kinematics, equilibrium, periodic orbit) does not converge."""
 
 
 class NearPi(MfcError, ValueError):
-    """A pose error whose rotation angle is within 1e-3 rad of pi, where its logarithm jumps."""
+    """The rotation angle of a pose error is within 1e-3 rad of pi, where the logarithm jumps."""
 
     def __init__(self, angle: float, time: float | None = None, index: int = 0) -> None:
         self.angle, self.time = angle, time
-        self.index = index  #: which of the points that were evaluated, counted through
+        self.index = index  #: flat index of the configuration
         when = "" if time is None else f" at t = {time:.4g} s"
         super().__init__(
-            f"pose error{when}: its rotation angle is {angle:.6f} rad, within 1e-3 of pi, where the logarithm jumps; start nearer to the reference"
+            f"pose error{when}: its rotation angle is {angle:.6f} rad, within 1e-3 of pi, where the logarithm jumps; start closer to the reference"
         )
 
     def at(self, time: float | None) -> NearPi:
-        """The same with its time [s], where it has none yet."""
+        """The same error with a time [s], if it has none."""
         return NearPi(self.angle, time if self.time is None else self.time, self.index)
 
 

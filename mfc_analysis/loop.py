@@ -1,4 +1,4 @@
-"""``ClosedLoop``: the user's door. A robot, a law, a reference, and what stands between them; its methods call down."""
+"""``ClosedLoop``: a robot, a law and a reference, with the contact surfaces and the hardware. Its methods call the functions of the rooms below."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """A rest point of the closed loop."""
+    """An equilibrium of the closed loop."""
 
     q: Array  #: (n,)
     error: Array  #: e (n,) [rad, m] for joint laws, X_e (6,) [m, rad] for tool laws
     force: Array  #: (6,) F_tip, tool frame [N, Nm]
     torque: Array  #: (n,) commanded torque [Nm] (velocity [rad/s] for 9.1-9.5)
-    x: Array  #: (nx,) the whole state
+    x: Array  #: (nx,) the full state
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +49,14 @@ class ClosedLoop:
         law: one of ``mfc.laws``.
         ref: a reference of ``mfc.trajectories``: joint space for joint laws, a ``Hold`` for force laws; tool laws take tool
             references, or a joint reference (then its tool motion is the reference).
-        controller_model: what the controller believes; omitted: the plant itself.
-        environment: an ``Environment`` or a list of them, added up; surfaces without a pose lie at the tool's start pose.
+        controller_model: the controller's model of the plant; omitted: the plant itself.
+        environment: an ``Environment``, or a list whose forces add up; surfaces without a pose lie at the tool's start pose.
         q_start: (n,) [rad, m] for tool references: the joint solution is followed from here.
         hardware: ``Hardware``; omitted: ideal.
 
     Raises:
-        BadArgument and its kin: shapes, kinds and values that do not go together; see each argument's class.
-        A warning says where the reference leaves the joint limits.
+        BadArgument or a subclass: inconsistent shapes, types or values; see the class of each argument.
+        A warning is issued where the reference leaves the joint limits.
     """
 
     robot: Robot
@@ -93,7 +93,7 @@ class ClosedLoop:
     def _check_reference(self, space: str) -> None:
         law, name = self.law, type(self.law).__name__
         if space == "joint" and self.ref.n != self.robot.n:
-            raise BadArgument("ref", f"a reference of {self.ref.n} joints", f"one of {self.robot.n} joints, as {self.robot.name} has")
+            raise BadArgument("ref", f"a reference of {self.ref.n} joints", f"one of {self.robot.n} joints, the number of {self.robot.name}")
         if law.space == "joint" and space == "tool":
             takes = f"a joint-space reference for {name}; mfc.trajectories.from_tool_path turns a tool path into one (eq 9.14)"
             raise BadArgument("ref", type(self.ref).__name__, takes)
@@ -125,13 +125,13 @@ class ClosedLoop:
     # --- the operating points ------------------------------------------------------------------------------------
 
     def nominal(self, times: ArrayLike) -> Nominal:
-        """Joint motion (q, v, a), (m, n) each, that the reference asks for; tool references are followed from ``q_start`` (eq 9.14)."""
+        """Reference motion of the joints (q, v, a), (m, n) each; tool references are followed from ``q_start`` (eq 9.14)."""
         return nominal(self.equations, checks.times(times))
 
     def equilibrium(self) -> Equilibrium:
-        """The rest point near the reference (a Hold): gravity sag and steady force error included.
+        """The equilibrium near the reference (a Hold), with gravity sag and steady force error.
 
-        Raises NotConverged where there is none, Unsupported on a moving reference.
+        Raises NotConverged where none is found, Unsupported on a moving reference.
         """
         rest = at_rest(self.equations)
         flow = self.equations.flow(0.0, rest.x[0])
@@ -153,11 +153,11 @@ class ClosedLoop:
         coordinates: Coordinates | None = None,
         simulation: Simulation | None = None,
     ) -> Linearization:
-        """The loop linearised exactly at m times [s] at once.
+        """The loop linearised exactly at m times [s].
 
         Args:
             times: (m,) strictly increasing.
-            about: "reference" (integral trimmed), "equilibrium" (a Hold's rest point) or "simulation" (along ``simulation``).
+            about: "reference" (integral trimmed), "equilibrium" (near a Hold) or "simulation" (along ``simulation``).
             coordinates: "state" (q, v, z, ...) or "error" (X_e, V_e, z, ...); None: "error" for tool laws where J is square and
                 well conditioned, else "state".
 
@@ -167,11 +167,11 @@ class ClosedLoop:
 
     @property
     def default_at(self) -> str:
-        """The analysis point taken when none is named: the plant input."""
+        """The default analysis point: the plant input."""
         return self.law.plant
 
     def floquet(self, period: float | None = None) -> Floquet:
-        """Floquet multipliers on the true periodic orbit of the closed loop. Raises BadArgument without a period, NotConverged."""
+        """Floquet multipliers on the periodic orbit of the nonlinear closed loop. Raises BadArgument without a period, NotConverged."""
         from mfc_analysis.simulation.orbit import floquet
 
         return floquet(self.equations, period)
@@ -194,17 +194,17 @@ class ClosedLoop:
         method: str = "LSODA",
         x: ArrayLike | None = None,
     ) -> Simulation:
-        """The nonlinear loop by ``scipy.integrate.solve_ivp`` on Pinocchio's dynamics.
+        """Simulates the nonlinear loop with ``scipy.integrate.solve_ivp`` on Pinocchio's dynamics.
 
         Args:
-            times: a duration [s] or an array of times, whose first is the start.
-            initial_error: e at the start, scalar or (n,) (tool laws: X_e (6,) or (n,) of the joints' own error): where ``q`` is not given.
+            times: a duration [s], or an array of times that begins at the start time.
+            initial_error: e at the start, scalar or (n,) (tool laws: X_e (6,), or the joint error (n,)); used where ``q`` is not given.
             disturbance: torque at the joints [Nm] (velocity laws: velocity [rad/s]), constant or a function of time.
-            q, v: (n,) the start itself. integral: 0, "trimmed" or the integral state. force_integral: likewise, scalar or (6,).
-            actuator: (n,) state of the actuators' lag; None: the torque commanded at the start.
-            x: (nx,) the whole start state instead of all these.
+            q, v: (n,) start position and velocity. integral: 0, "trimmed" or the integral state. force_integral: likewise, scalar or (6,).
+            actuator: (n,) state of the actuator lag; None: the torque commanded at the start.
+            x: (nx,) the full start state; replaces all of these.
 
-        A run that diverges stops, keeps what it has and says when (``diverged``, ``outcome``).
+        A run that diverges stops, keeps its results up to then and reports the time (``diverged``, ``outcome``).
         """
         from mfc_analysis.dynamics.start_state import start_state
         from mfc_analysis.simulation.simulation import simulate
@@ -218,7 +218,7 @@ class ClosedLoop:
         return simulate(self.equations, times, x0, disturbance, rtol=rtol, atol=atol, method=method)
 
     def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
-        """Linear prediction against nonlinear simulation over ``time`` [s] from the operating point disturbed by ``size`` [rad, m]."""
+        """Compares linear prediction and nonlinear simulation over ``time`` [s], from the operating point disturbed by ``size`` [rad, m]."""
         from mfc_analysis.simulation.validation import validate
 
         return validate(self.equations, time, size, seed)
