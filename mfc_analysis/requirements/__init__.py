@@ -1,4 +1,4 @@
-"""What is asked of a loop, and the verdict on it."""
+"""Requirements on a loop, and the verdict."""
 
 import lazy_loader
 

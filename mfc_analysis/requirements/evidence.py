@@ -1,7 +1,7 @@
-"""What a loop achieves, metric by metric: the worst value along the path, with its joint and time. ``requirements`` compares it with what was asked.
+"""The metrics of a loop: for each, the worst value along the path, with its joint and time. ``requirements`` compares them with the limits.
 
-Linear metrics come from the loop linearised about its reference, all times at once; tracking error and torque from one
-nonlinear run along the reference, started on it with integrals at zero. Everything is computed at first use, once.
+Linear metrics come from the loop linearised about its reference; tracking error and torque from one nonlinear run along the
+reference, which starts on it with integrals at zero. Each is computed once, at first use.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ if TYPE_CHECKING:
     from mfc_analysis.simulation.simulation import Simulation
 
 
-ROUNDING = 1e-9  #: part of the acceleration scale below which a residual is rounding
-RUN_POINTS = 400  #: of the nonlinear run, at least
+ROUNDING = 1e-9  #: fraction of the acceleration scale below which a residual is rounding error
+RUN_POINTS = 400  #: fewest samples of the nonlinear run
 GRAVITY = 10.0  #: [m/s^2] the acceleration scale of an arm at rest
-SLIDES = 1e-8  #: part of the residual below which a slide is rounding
-HOLD_RUN = 2.0  #: [s] of a nonlinear run where neither times nor the reference say how long
+SLIDES = 1e-8  #: fraction of the residual below which a drift is rounding error
+HOLD_RUN = 2.0  #: [s] duration of the nonlinear run where neither the times nor the reference define one
 
 
 class Found(NamedTuple):
-    """A metric at its worst place."""
+    """The worst value of a metric, with its joint or channel and time."""
 
     value: float  #: NaN where it is not defined, with the reason in ``note``
     where: str = ""  #: joint or channel
@@ -85,12 +85,12 @@ class Evidence:
 
     @cached_property
     def stability(self) -> Stability:
-        """The verdict of the poles, dead time included."""
+        """The stability verdict, dead time included."""
         return self.linearization.stability
 
     @cached_property
     def judged(self) -> Bools:
-        """(m,) where the roots that are not at zero are all inside, so that metrics have a meaning."""
+        """(m,) True where all roots that are not at zero are stable, so that the metrics are defined."""
         return np.asarray(self.stability.nonzero_stable & (self.spectrum.poles.shape[1] > self.spectrum.roots.count))
 
     @property
@@ -110,7 +110,7 @@ class Evidence:
 
     @cached_property
     def steps(self) -> StepMetrics:
-        """Settling and overshoot of every reference channel to its own coordinate."""
+        """Settling and overshoot of the step from every reference channel to its coordinate."""
         from mfc_analysis.linearization.tracking_steps import step_metrics
 
         return step_metrics(self.linearization)
@@ -158,10 +158,10 @@ class Evidence:
         return found, found == 0  # those at zero are exact
 
     def implied_error(self) -> Found:
-        """How far [rad, m] the residual moves the joints in the end: |A^-1 r| of the linear loop; 0: rounding only.
+        """Steady displacement [rad, m] of the joints due to the residual: |A^-1 r| of the linear loop; 0: rounding error only.
 
-        r is what is left of every rate at the operating point. What no rate changes stays where it is; inf where a root at zero lets the
-        joints slide.
+        r is the residual of every rate at the operating point. Roots at zero that r does not excite stay at rest; inf where one makes
+        the joints drift.
         """
         e, lin = self.equations, self.linearization
         asked = nominal(e, self.times)
@@ -175,7 +175,7 @@ class Evidence:
         return Found(float(moved[i, j]), e.robot.joint_names[j], float(self.times[i]))
 
     def _joint_of(self, i: int, s: complex) -> str:
-        """The joint (or state) that takes part most in the mode of root ``s``, by participation factors."""
+        """The joint (or state) with the largest participation factor in the mode of root ``s``."""
         lin = self.linearization
         A = close_wires(lin.opened)[0][i] if lin.dt else lin.A[i]
         if not np.isfinite(s):
@@ -191,7 +191,7 @@ class Evidence:
     def _unstable(self) -> Found:
         bad = np.flatnonzero(~self.judged)
         if self.nothing_else:
-            return Found(np.nan, "", float(self.times[bad[0]]), "every root is at zero: nothing to judge")
+            return Found(np.nan, "", float(self.times[bad[0]]), "every root is at zero: no metric is defined")
         root = self.slowest_root()
         return Found(np.nan, root.where, float(self.times[bad[0]]), f"unstable at {bad.size} of {self.times.size} times")
 
@@ -253,7 +253,7 @@ def _step(e: Evidence, name: str) -> Found:
         return e._unstable()
     values = getattr(e.steps, name)
     if values.size == 0:
-        return Found(np.nan, "", None, "no reference channel moves a coordinate of its own")
+        return Found(np.nan, "", None, "no reference channel has a coordinate that follows it")
     found = _worst(values, e.steps.channels, e.times, True)
     if np.isnan(found.value):
         return found._replace(note="the coordinate does not follow its reference to a steady value")
@@ -280,12 +280,12 @@ def _torque(e: Evidence) -> Found:
     if not known.any():
         return Found(np.nan, "", None, f"the robot has no {'torque' if torque else 'velocity'} limits to compare with")
     found = _worst(np.where(known, np.abs(run.command) / limit, 0.0), equations.robot.joint_names, run.t, True)
-    what = "" if torque else "commanded velocity to its limit"
+    what = "" if torque else "commanded velocity relative to its limit"
     missing = [j for j, there in zip(equations.robot.joint_names, known, strict=True) if not there]
-    return found._replace(note=what or (f"no limit known of {', '.join(missing)}" if missing else ""))
+    return found._replace(note=what or (f"no known limit for {', '.join(missing)}" if missing else ""))
 
 
-#: metric (a field of ``Requirements``) -> how it is found
+#: metric (a field of ``Requirements``) -> the function that computes it
 METRICS: dict[str, Callable[[Evidence], Found]] = {
     "gain_increase_db": _margin("gain_increase_db"),
     "gain_reduction_db": _margin("gain_reduction_db"),
@@ -301,11 +301,11 @@ METRICS: dict[str, Callable[[Evidence], Found]] = {
 }
 
 
-# --- what is left over at an operating point -------------------------------------------------------------------------
+# --- residual at an operating point ----------------------------------------------------------------------------------
 
 
 def _left_over(equations: Equations, x: Array, times: Array, v: Array, a: Array) -> Array:
-    """(m, nx) rates at the operating points less those of the reference's own motion."""
+    """(m, nx) residual: rates at the operating points minus those of the reference motion."""
     slots = equations.split(np.array(value(equations.rates(times, x))))
     torque = equations.actuator == "torque"
     for name, moving in (("q", v), ("theta", v), *((("v", a), ("omega", a)) if torque else ())):
@@ -315,7 +315,7 @@ def _left_over(equations: Equations, x: Array, times: Array, v: Array, a: Array)
 
 
 def _displacement(A: Array, left: Array, where: slice) -> Array:
-    """(n,) |positions| at the end of x' = A x + left from zero: the steady part, inf where a root at zero slides."""
+    """(n,) steady |positions| of x' = A x + left from zero; inf where a root at zero drifts."""
     parts = without_zero_roots(A, left[:, None], np.eye(len(A))[where])
     steady = parts.C @ np.linalg.solve(parts.A, parts.B) if len(parts.A) else np.zeros((where.stop - where.start, 1))
     out = np.abs(steady[:, 0])

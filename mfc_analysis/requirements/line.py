@@ -1,4 +1,4 @@
-"""One requirement on one loop: asked, found, and what came of it. Verdicts, reports and the command line all show these lines."""
+"""One requirement on one loop: the limit, the value found and the status. Verdicts, reports and the command line show these lines."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from math import inf, isfinite, isnan
 
 
 class Status(StrEnum):
-    """What came of a check; compares with the word: ``verdict.status == "PASS"``. INFO: nothing was asked."""
+    """Result of a check; compares with its word: ``verdict.status == "PASS"``. INFO: no requirement was set."""
 
     PASS = "PASS"
     WATCH = "WATCH"
@@ -18,24 +18,24 @@ class Status(StrEnum):
 
     @property
     def rank(self) -> int:
-        """0 (INFO) to 3 (FAIL): the larger, the worse."""
+        """0 (INFO) to 3 (FAIL); larger is worse."""
         return ("INFO", "PASS", "WATCH", "FAIL").index(self.value)
 
 
 def worst(statuses: Sequence[Status]) -> Status:
-    """The worst of them; INFO when there is none."""
+    """The worst status; INFO for an empty list."""
     return max(statuses, key=lambda s: s.rank, default=Status.INFO)
 
 
 @dataclass(frozen=True)
 class Line:
-    """A requirement, asked and found, at its worst place."""
+    """A requirement: its limit and the worst value found."""
 
-    name: str  #: field of ``Requirements``, or "stable", "residual"; in a report any name
+    name: str  #: field of ``Requirements``, or "stable", "residual"; any name in a report
     asked: float  #: the limit, in ``unit``
     found: float  #: in ``unit``; NaN where it is not defined (the loop is unstable, ...)
     unit: str
-    distance: float  #: how far inside the limit, in ``unit``; negative: missed; NaN: not defined
+    distance: float  #: distance to the limit, in ``unit``; negative: limit missed; NaN: not defined
     status: Status
     where: str = ""  #: joint or channel
     when: float | None = None  #: [s]
@@ -51,7 +51,7 @@ class Line:
 
     @property
     def severity(self) -> tuple[int, float]:
-        """Sorts lines, worst last: by status, then by the relative distance to the limit; nothing is worse than a loop that isn't stable."""
+        """Sort key, worst last: by status, then by the relative distance to the limit. An unstable loop is the worst of all."""
         if self.name == "stable" and self.status is Status.FAIL:
             return self.status.rank + 1, inf
         if isnan(self.distance):
@@ -61,7 +61,7 @@ class Line:
 
     @property
     def place(self) -> str:
-        """Where and when in words, empty if neither is known."""
+        """Joint or channel, and time, in words; empty if neither is known."""
         at = "" if self.when is None else f"t = {round(self.when, 4):.6g} s"
         return ", ".join(part for part in (self.where, at) if part)
 

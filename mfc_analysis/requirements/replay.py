@@ -1,7 +1,7 @@
-"""Code that makes a loop again: a snippet to paste from a failed test, a report or a search. What it cannot say it says so.
+"""Code that rebuilds a loop: a snippet to paste from a failed test, a report or a search. It lists what it cannot reproduce.
 
-Robots of a URDF file, embedded ones and those of the catalogue are recognised by comparing them with a rebuilt one (payloads, friction,
-armature and scaling included); every other robot, law or reference that is not of this package becomes a line to fill in.
+Robots from a URDF file, embedded ones and those of the catalogue are recognised by comparison with a rebuilt robot (payloads, friction,
+armature and scaling included). Any other robot, and a law or reference from outside this package, becomes a line to fill in.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.robot import Robot
 
-LONGEST = 600  #: numbers of one array that are worth printing
+LONGEST = 600  #: most numbers of one array that are printed
 DERIVED = ("index", "K", "B", "f0")  #: fields of an Environment that follow from the others
-SAME = 1e-9  #: relative difference of two robots that are the same
+SAME = 1e-9  #: relative difference below which two robots are the same
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Replay:
 
 
 def replay(loop: ClosedLoop, times: ArrayLike | None = None, call: str = "") -> Replay:
-    """Python code that builds ``loop`` and ``times`` (m,) [s] again, then ``call`` on them. Raises BadArgument for bad times."""
+    """Python code that rebuilds ``loop`` and ``times`` (m,) [s] and then makes ``call``. Raises BadArgument for bad times."""
     missing: list[str] = []
     robot = _robot(loop.robot, "robot", missing)
     lines = ["import numpy as np", "import mfc_analysis as mfc", "", f"robot = {robot}"]
@@ -88,7 +88,7 @@ def _value(given: Any, what: str, missing: list[str]) -> str:
     home = _home(given)
     if home and is_dataclass(given):
         return home + "(" + ", ".join(_fields(given, what, missing)) + ")"
-    missing.append(f"{what}: {' '.join(str(given).split())[:120]} ({type(given).__module__}.{type(given).__qualname__} is not of this package)")
+    missing.append(f"{what}: {' '.join(str(given).split())[:120]} ({type(given).__module__}.{type(given).__qualname__} is not part of this package)")
     return what
 
 
@@ -141,7 +141,7 @@ def _is_default(x: Any, default: Any) -> bool:
 
 
 def _robot(robot: Robot, what: str, missing: list[str]) -> str:
-    """An expression that makes this robot, verified by its dynamics; else a name to fill in."""
+    """An expression that builds this robot, verified by its dynamics; otherwise a name to fill in."""
     for text, base in _candidates(robot):
         try:
             code, built = _changed(text, base(), robot)
@@ -179,13 +179,13 @@ def _candidates(robot: Robot) -> list[tuple[str, Callable[[], Robot]]]:
 
 
 def _nearby(path: str) -> str:
-    """The path from the working folder, where it lies below it."""
+    """The path relative to the working folder, where it lies below it."""
     whole, here = os.path.abspath(path), os.getcwd()
     return os.path.relpath(whole, here) if whole.startswith(here + os.sep) else path
 
 
 def _single_joint(robot: Robot) -> dict[str, float]:
-    """The arguments of ``single_joint`` behind this robot, payloads taken off."""
+    """The arguments of ``single_joint`` that give this robot without payloads."""
     r = 0.5 * float(robot.pose(np.zeros(1))[0, 3])
     load = sum(p.inertia[2, 2] + p.mass * ((2 * r + p.com[0]) ** 2 + p.com[1] ** 2) for p in robot.payloads)
     inertia = float(robot.mass(np.zeros(1))[0, 0] - robot.armature[0] - load)
@@ -194,7 +194,7 @@ def _single_joint(robot: Robot) -> dict[str, float]:
 
 
 def _changed(text: str, base: Robot, robot: Robot) -> tuple[str, Robot]:
-    """The base with the scaling, payloads, friction and armature of ``robot``, as code and built."""
+    """The base with the scaling, payloads, friction and armature of ``robot``: the code and the robot."""
     own = robot.total_mass - sum(p.mass for p in robot.payloads)
     if base.n == robot.n and abs(own - base.total_mass) > SAME * own:
         factor = _round(own / base.total_mass)
@@ -213,7 +213,7 @@ def _changed(text: str, base: Robot, robot: Robot) -> tuple[str, Robot]:
 
 
 def _same(a: Robot, b: Robot) -> bool:
-    """Two robots that move alike: names, limits, friction, and mass, gravity, bias and tool pose at three points."""
+    """True for robots with equal names, limits and friction, and equal mass, gravity, bias and tool pose at three configurations."""
     if a.joint_names != b.joint_names or a.tool != b.tool:
         return False
     pairs = [
@@ -230,7 +230,7 @@ def _same(a: Robot, b: Robot) -> bool:
 
 
 def _round(x: float) -> float:
-    """The number without the last digits that subtraction spoilt."""
+    """The number without the rounding error of a subtraction."""
     return float(f"{x:.13g}")
 
 

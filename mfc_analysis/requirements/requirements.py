@@ -1,14 +1,14 @@
-"""Requirements and verdicts: what was asked of a loop, what it achieves along its path, and PASS, WATCH or FAIL.
+"""Requirements and verdicts: the limits set for a loop, the metrics it achieves along its path, and PASS, WATCH or FAIL.
 
 A verdict always has the line "stable". It is
 
 - FAIL where a limit is missed or a metric is not defined: NaN never passes;
-- WATCH where every limit is met with a reservation: the loop drifts, or the residual at its operating points matters;
+- WATCH where every limit is met, but the loop drifts or the residual at its operating points matters;
 - PASS otherwise.
 
 A residual matters when the steady error it implies, abs(A^-1 r) of the linear loop, is above ``RESIDUAL_MATTERS`` [rad, m] (or above
-the tracking error asked for, if that is smaller): the metrics then belong to a point at which the loop does not rest. Gravity
-under a law without model and integral is the usual case; where nothing holds the joint the implied error is infinite.
+the required tracking error, if that is smaller): the metrics then belong to an operating point where the loop does not stay. The
+usual case is gravity under a law without model and integral; where no feedback holds the joint the implied error is infinite.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ RESIDUAL_MATTERS = 1e-3  #: [rad, m] implied steady error above which a verdict 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a requirement is about: its name in words, unit, direction, and the values it takes."""
+    """A kind of requirement: its name in words, unit, direction and range."""
 
     label: str
     unit: str
@@ -58,13 +58,13 @@ KINDS: Mapping[str, Kind] = {
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What came of asking: a line for each requirement, failures first, and the status of the worst."""
+    """Result of a check: a line for each requirement, failures first, and the worst status."""
 
     lines: tuple[Line, ...]
     loop: str  #: the loop in words
     at: str  #: analysis point of the margins
     times: np.ndarray[Any, np.dtype[np.float64]]  #: (m,) [s]
-    notes: tuple[str, ...]  #: what else to know, a sentence each
+    notes: tuple[str, ...]  #: remarks, a sentence each
     drifts: bool
     evidence: Evidence
 
@@ -75,12 +75,12 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """True only for PASS: WATCH has a reservation that somebody has to read."""
+        """True only for PASS; read the note of a WATCH line before you accept it."""
         return self.status is Status.PASS
 
     @property
     def failed(self) -> tuple[Line, ...]:
-        """The lines that fail, the worst first."""
+        """The failed lines, worst first."""
         return tuple(line for line in self.lines if line.status is Status.FAIL)
 
     @property
@@ -116,22 +116,22 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class Requirements:
-    """What is asked of a loop; every field is optional, and stability is always asked.
+    """Requirements on a loop. Every field is optional; stability is always required.
 
     The margins hold at every time and channel of the analysis point, one loop at a time with the others closed.
 
     Raises:
-        BadArgument: a value is not a number, not finite, or outside what the metric can be.
+        BadArgument: a value is not a number, not finite, or outside the range of the metric.
     """
 
     gain_increase_db: float | None = None  #: [dB] the gain may grow by at least this
     gain_reduction_db: float | None = None  #: [dB] the gain may fall by at least this: -20 log10(reduction)
     phase_deg: float | None = None  #: [deg] 0 .. 180
-    delay: float | None = None  #: [s] more dead time that the loop survives
+    delay: float | None = None  #: [s] delay margin: additional dead time at which the loop stays stable
     sensitivity_peak: float | None = None  #: at most; >= 1
     damping_ratio: float | None = None  #: of every closed-loop pole that is not at zero; 0 .. 1 (dead time: of the rightmost roots)
     disk_margin: float | None = None  #: alpha, all channels at once; 0 .. 2
-    settling_time: float | None = None  #: [s] 2 % settling of every linear step of a reference channel to its own coordinate
+    settling_time: float | None = None  #: [s] 2 % settling of every linear step from a reference channel to its coordinate
     overshoot: float | None = None  #: fraction of the final value, of the same steps
     tracking_error: float | None = None  #: [rad, m] largest component of e (X_e) in a nonlinear run along the reference, integrals at 0
     torque_fraction: float | None = None  #: largest commanded torque / limit in that run (velocity laws: velocity / limit)
@@ -144,7 +144,7 @@ class Requirements:
 
     @classmethod
     def from_mapping(cls, asked: Mapping[str, Any]) -> Self:
-        """Requirements from a mapping, such as a table of a study. Raises UnknownName for a key that isn't one, BadArgument for a value."""
+        """Requirements from a mapping, such as a table of a study. Raises UnknownName for an unknown key, BadArgument for a bad value."""
         if not isinstance(asked, Mapping):
             raise BadArgument("requirements", asked, f"a mapping of some of {', '.join(KINDS)} to numbers")
         for name in asked:
@@ -153,14 +153,14 @@ class Requirements:
         return cls(**asked)
 
     def asked(self) -> dict[str, float]:
-        """The fields that are asked, with their limits."""
+        """The fields that are set, with their limits."""
         return {f.name: float(getattr(self, f.name)) for f in fields(self) if getattr(self, f.name) is not None}
 
     def check(self, loop: ClosedLoop, times: ArrayLike, at: str | None = None) -> Verdict:
         """The verdict over one loop.
 
         Args:
-            times: (m,) [s] where it is linearised about its reference; the nonlinear run goes from the first to the last.
+            times: (m,) [s] of the linearisation about the reference; the nonlinear run goes from the first to the last.
             at: analysis point of the margins; None: the plant input.
 
         Raises BadArgument (not a loop, times), UnknownPoint for ``at``, NearSingular.
@@ -183,7 +183,7 @@ class Requirements:
 
 
 def compared(name: str, limit: float, found: Found) -> Line:
-    """The line of one requirement: asked against found. NaN fails."""
+    """The line of one requirement: the value found against the limit. NaN fails."""
     kind = KINDS[name]
     met = found.value >= limit if kind.least else found.value <= limit
     distance = found.value - limit if kind.least else limit - found.value
@@ -198,7 +198,7 @@ def _stable(evidence: Evidence) -> Line:
     neutral, drifting = int(verdict.neutral.max(initial=0)), verdict.drifts
     if evidence.nothing_else:
         status = Status.WATCH if drifting.any() else Status.FAIL
-        note = "drifts: a root at zero in a chain" if drifting.any() else f"neutral, not stable: {neutral} free positions and nothing else"
+        note = "drifts: roots at zero in a Jordan chain" if drifting.any() else f"neutral, not stable: {neutral} free positions and no other root"
         return Line("stable", 0.0, nan, "1/s", nan, status, "", float(evidence.times[0]), "<", note=note)
     root = evidence.slowest_root()
     notes = [f"neutral: {neutral} free position{'s' if neutral > 1 else ''}"] if neutral else []
@@ -224,22 +224,22 @@ def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
         return []
     unit = "rad/s or m/s" if evidence.equations.actuator == "velocity" else "rad/s^2 or m/s^2"
     largest = float(np.abs(evidence.linearization.residual).max(initial=0.0))
-    note = f"the loop does not rest at its operating point: what is left there (residual {largest:.3g} {unit}) moves it this far"
+    note = f"the loop does not stay at its operating point: the residual ({largest:.3g} {unit}) moves the joint this far"
     distance = limit - found.value
     return [Line("residual", limit, found.value, "rad or m", distance, Status.WATCH, found.where, found.when, "≤", label="error at rest", note=note)]
 
 
 def _notes(evidence: Evidence) -> tuple[str, ...]:
-    """Neutral roots, frozen time, dead time and idle integrals: what a reader of the metrics must know."""
+    """Remarks on the metrics: frozen time, neutral roots, dead time and idle integrals."""
     out, verdict, lin = [], evidence.stability, evidence.linearization
     if not evidence.equations.reference_source.is_hold:
         out.append(
-            f"frozen-time metrics on a moving reference (coordinates {lin.coordinates!r}); floquet() or transient_growth() say what motion does"
+            f"frozen-time metrics on a moving reference (coordinates {lin.coordinates!r}); floquet() and transient_growth() account for the motion"
         )
     if verdict.neutral.any():
         out.append(f"neutral roots (free positions), left out of the metrics: {int(verdict.neutral.max())}")
     if verdict.idle.any():
         out.append(f"integrals that act on nothing, left out: {int(verdict.idle.max())}")
     if verdict.drifts.any():
-        out.append("the loop drifts: its margins are those of the roots that are not at zero, and no verdict is better than WATCH")
+        out.append("the loop drifts: its margins are those of the roots that are not at zero, and the verdict is WATCH at best")
     return tuple(out)
