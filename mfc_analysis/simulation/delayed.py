@@ -13,7 +13,7 @@ from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Vector, value
 from mfc_analysis.simulation.run import Run
 
-#: Chebyshev-Lobatto points on [0, 1]: where a segment's signals are recorded for the next ones
+#: Chebyshev-Lobatto points on [0, 1], at which the signals of a segment are recorded for later segments
 NODES = 0.5 * (1 - np.cos(np.pi * np.arange(9) / 8))
 _WEIGHTS = np.array([0.5, -1, 1, -1, 1, -1, 1, -1, 0.5])
 
@@ -45,7 +45,7 @@ class History:
 
 @dataclass(frozen=True, eq=False)
 class Late:
-    """A recorded signal as it arrives, a dead time later."""
+    """A recorded signal, delayed by a dead time."""
 
     signal: History
     delay: float  #: [s]
@@ -55,7 +55,7 @@ class Late:
 
 
 def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
-    """Method of steps: in a segment no longer than the shortest dead time, what arrives was sent in segments already done."""
+    """Method of steps: in a segment no longer than the shortest dead time, every arriving signal was sent in an earlier segment."""
     e, lose = run.equations, run.one_sided
     delays = e.delays
     start, end = float(asked[0]), float(asked[-1])

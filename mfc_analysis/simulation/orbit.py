@@ -1,4 +1,4 @@
-"""The truth on a moving reference: transition matrices along a run, Floquet multipliers on the true orbit, transient growth."""
+"""Stability on a moving reference: transition matrices along a run, and Floquet multipliers on the periodic orbit."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def transitions_along(e: Equations, run: Simulation, edges: Array) -> Array:
 
 
 def floquet(e: Equations, period: float | None = None) -> Floquet:
-    """Multipliers of the closed loop on its true periodic orbit: Newton shooting, Phi by fourth-order Magnus steps.
+    """Floquet multipliers on the periodic orbit of the closed loop: Newton shooting, Phi by fourth-order Magnus steps.
 
     With a sample time the period must be a whole number of samples, and Phi is the product of the discrete steps.
     Raises BadArgument (no period), Unsupported (dead time without a sample time), NotConverged (no orbit found).
     """
     T = e.reference_source.period if period is None else checks.number("period", period, low=0.0, strict=True)
     if T is None:
-        raise BadArgument("period", None, "a period [s]: this reference has none of its own")
+        raise BadArgument("period", None, "a period [s]: the reference does not define one")
     if e.sample_time:
         return _sampled(e, float(T))
     if e.delayed:
-        takes = "a sample_time beside it: the period map of a continuous loop with dead time has no finite matrix"
+        takes = "a sample_time with it: the period map of a continuous loop with dead time has infinite dimension"
         raise Unsupported("hardware.delay", max(e.delays.values()), takes)
     edges = np.linspace(0.0, float(T), STEPS + 1)
 

@@ -1,4 +1,4 @@
-"""What the linear model says of a disturbed run, with dead time and with sampling: the other side of a validation."""
+"""Linear prediction of a disturbed run with dead time or sampling, for a validation."""
 
 from __future__ import annotations
 
@@ -86,13 +86,13 @@ def _between(ticks: Array, states: Array, t: Array) -> Array:
 
 
 def sampled_at_rest(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
-    """(N, nx) by the discrete model of the loop, whose powers these are: the base run stays where it is."""
+    """(N, nx) by powers of the discrete model of the loop; the base run is at rest."""
     opened, nx = sampled(open_system(e, t[:1], base.state(t[:1])), e.sample_time), e.nx
     A = close_wires(opened)[0][0]
     command, sensed = _first_signals(e, base, direction)
     x = np.zeros(opened.nx)
     x[:nx] = direction
-    for i, name in enumerate(opened.state_names[nx:], start=nx):  # samples under way at the start
+    for i, name in enumerate(opened.state_names[nx:], start=nx):  # samples in transit at the start
         point, _, channel = name.partition("[")
         j = opened.wire_names[opened.wires[point]].index(channel.partition("] ")[2])
         x[i] = sensed[j] if point == "force" else command[j]
@@ -104,7 +104,7 @@ def sampled_at_rest(e: Equations, base: Simulation, t: Array, direction: Array) 
 
 
 def _first_signals(e: Equations, base: Simulation, direction: Array) -> tuple[Array, Array]:
-    """What the law commands and the sensor reads at the disturbed start, where everything is fresh: (n,) and (6,)."""
+    """Command of the law (n,) and reading of the force sensor (6,) at the disturbed start, without dead time."""
     system = open_system(e, base.t[:1], base.x[:1])
     keep = np.zeros(system.nw, bool)
     keep[system.wires[e.actuator]] = True
@@ -116,7 +116,7 @@ def _first_signals(e: Equations, base: Simulation, direction: Array) -> tuple[Ar
 def sampled_along(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
     """(N, nx) along a moving base run: the plant linearised at Gauss nodes within each sample, the law at the samples.
 
-    The same order of events as in ``sampled_run.run_sampled``: read, command, hold after the dead time, own states advanced with inputs held.
+    The order of events is that of ``sampled.run_sampled``: read, command, hold after the dead time, own states advanced with inputs held.
     """
     T = e.sample_time
     delay, force_delay = (e.delays.get(name, 0.0) for name in (e.actuator, "force"))
@@ -152,7 +152,7 @@ def sampled_along(e: Equations, base: Simulation, t: Array, direction: Array) ->
 
 
 def _plant_steps(e: Equations, base: Simulation, edges: Array) -> Array:
-    """(N, np, np + n): the plant's states an edge later, from its states and the held command; two Gauss nodes a step."""
+    """(N, np, np + n) matrices from the plant states and the held command to the plant states at the next edge; two Gauss nodes a step."""
     nodes = np.ravel(gauss_nodes(edges))
     assert base.arrived is not None
     arriving = {e.actuator: np.stack([base.arrived(float(ti)) for ti in nodes])}
@@ -167,9 +167,9 @@ def _plant_steps(e: Equations, base: Simulation, edges: Array) -> Array:
 
 
 def _law_rows(e: Equations, base: Simulation, samples: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """At the samples: command and rates of the state, from the state and (apart from it) from the measured force; and the force from the state."""
+    """Matrices at the samples: command and state rates from the state and, separately, from the measured force; and the force from the state."""
     assert base.arrived is not None
-    x = base.state(samples + 1e-7 * np.min(np.diff(base.t)))  # behind the sample, where the law's own states have jumped
+    x = base.state(samples + 1e-7 * np.min(np.diff(base.t)))  # just after the sample, where the law's own states have jumped
     system = open_system(e, samples, x, arriving={e.actuator: np.stack([base.arrived(float(ti)) for ti in samples])})
     keep = np.zeros(system.nw, bool)
     keep[system.wires[e.actuator]] = True

@@ -1,4 +1,4 @@
-"""One run under way: a segment of the equations in scipy's ``solve_ivp``. The only file that integrates."""
+"""One simulation run: segments of the equations in scipy's ``solve_ivp``. No other file integrates."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from mfc_analysis.maths.dual import value
 Disturbance = Callable[[float], Array]
 
 
-FAR = 1e4  #: [rad, m, rad/s, m/s] beyond this position or velocity a run has diverged
+FAR = 1e4  #: [rad, m, rad/s, m/s] above this position or velocity a run has diverged
 
 
-FASTEST = 1e15  #: [1/s of any state] beyond this rate a run is refused
+FASTEST = 1e15  #: [1/s of any state] above this rate the solver would not finish
 
 
-NO_FORCE = 1e-9  #: [N, Nm] a surface that presses less is not touched
+NO_FORCE = 1e-9  #: [N, Nm] below this force a surface is not in contact
 
 
-CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost: a grazing touch is not stepped over
+CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost, so that no short contact is missed
 
 
 class Outcome(Enum):
@@ -35,13 +35,13 @@ class Outcome(Enum):
 
     FINISHED = "the run reached its end"
     DIVERGED = "the motion diverged"
-    REFUSED = "the law could not be evaluated any further"
-    SOLVER = "the solver could not go on"
+    REFUSED = "the law could not be evaluated"
+    SOLVER = "the solver failed"
 
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """A surface touched or left."""
+    """Contact with a surface made or lost."""
 
     time: float  #: [s]
     kind: str  #: "touch" or "lift"
@@ -50,7 +50,7 @@ class Event:
 
 
 class DenseOutput:
-    """Dense output put together from segments."""
+    """Dense output assembled from segments."""
 
     def __init__(self, t0: float, x0: Array) -> None:
         self.starts: list[float] = [t0]
@@ -71,7 +71,7 @@ class DenseOutput:
 
 @dataclass(eq=False)
 class Run:
-    """One run under way: what the three ways of integrating share."""
+    """One run in progress: the part that the three integration methods share."""
 
     equations: Equations
     disturbance: Disturbance | None
@@ -93,9 +93,9 @@ class Run:
     def integrate(
         self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False
     ) -> Array | None:
-        """From start to end; adds to the path. None where the run has stopped.
+        """Integrates from start to end and adds to the path. Returns the final state, None where the run has stopped.
 
-        ``short``: one of many short segments, where a multistep method would only ever be starting: explicit Runge-Kutta then.
+        ``short``: one of many short segments. These use explicit Runge-Kutta, since a multistep method would restart on each.
         """
         options = dict(self.options)
         if short and options["method"] == "LSODA":
@@ -111,7 +111,7 @@ class Run:
 
         try:
             found = solve(self._stopping(rates), options)
-        except _Stop:  # maybe only a step too far: again, by a method that shortens a step it cannot evaluate
+        except _Stop:  # perhaps only the trial step is too long: retry with a method that shortens it
             found = solve(self._or_nan(rates), {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
         self.events += self._contacts(found)
         self.path.add(float(found.t[-1]), found.sol)
@@ -146,7 +146,7 @@ class Run:
         return guarded
 
     def refuse(self, t: float, why: MfcError) -> None:
-        """End the run where the law itself, between two segments, cannot be evaluated."""
+        """Stops the run where the law cannot be evaluated between two segments."""
         self.stop(Outcome.REFUSED, t, str(why))
 
     def stop(self, outcome: Outcome, t: float, why: str) -> None:
@@ -166,7 +166,7 @@ class Run:
     def _contacts(self, found: Any) -> list[Event]:
         """Touch and lift between the solver's steps, located on its dense output.
 
-        Not by solve_ivp's own events: those take the signs from the steps and search on the dense output, which differs by rounding.
+        solve_ivp's events are not used: they take the signs at the steps and search on the dense output, and these differ by rounding.
         """
         e = self.equations
         if not self.one_sided or found.t.size < 2:
@@ -193,11 +193,11 @@ class Run:
 
 
 def bounded(rates: Array) -> Array:
-    """Rates as they are; of larger ones a solver would never make an end. Raises BadArgument."""
+    """The rates unchanged. Raises BadArgument above ``FASTEST``, where the solver would not finish."""
     if not np.abs(rates).max() < FASTEST:
-        raise BadArgument("the motion", f"rates of {np.abs(rates).max():.3g}", f"rates of the states below {FASTEST:g}")
+        raise BadArgument("the motion", f"rates of {np.abs(rates).max():.3g}", f"state rates below {FASTEST:g}")
     return rates
 
 
 class _Stop(Exception):
-    """The law refused; unwinds the solver."""
+    """The law cannot be evaluated; leaves the solver."""

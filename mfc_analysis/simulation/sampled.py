@@ -17,7 +17,7 @@ from mfc_analysis.simulation.run import Run
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """The commands of the samples so far as they arrive: each held over a sample."""
+    """The commands sent so far, as they arrive: each is held for one sample."""
 
     sent: list[Array]  #: (n,) each
     first: float  #: [s] when the first arrives
@@ -29,7 +29,7 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Constant:
-    """A piece of dense output that stays where it is."""
+    """A constant piece of dense output."""
 
     x: Array  #: (nx,)
 
@@ -38,7 +38,7 @@ class Constant:
 
 
 def run_sampled(run: Run, asked: Array, x0: Array) -> None:
-    """Sample by sample: the law reads at t_k, its torque is held (after the dead time), its own states advance with inputs held."""
+    """Runs sample by sample: the law reads at t_k, its torque is held (after the dead time), its own states advance with inputs held."""
     e, lose = run.equations, run.one_sided
     T = e.sample_time
     delay, force_delay = (e.delays.get(name, 0.0) for name in (e.actuator, "force"))
@@ -75,7 +75,7 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
                 return
             x = moved
         x[own] = own_next
-    if start + count * T - end < 1e-9 * T:  # the run ends at a sampling instant: the law's own states have moved on
+    if start + count * T - end < 1e-9 * T:  # the run ends at a sampling instant: the law's own states have advanced
         run.path.add(end, Constant(x))
 
 

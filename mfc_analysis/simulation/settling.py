@@ -1,4 +1,4 @@
-"""Whether a simulated run settles: the verdict of a simulation where the linear one is to be confirmed."""
+"""Whether a simulated run settles, to confirm a linear stability verdict."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ def settles(t: ArrayLike, y: ArrayLike) -> bool:
     """True if the swings of a signal in the last fifth of its time are smaller than those in the second fifth.
 
     Args:
-        t: (m,) [s] rising; y: (m,) or (m, k) any unit: an error or a force. The swing of a component is the range of its departure from a
-            straight line through that fifth of the run, so that a slow drift does not count.
+        t: (m,) [s] increasing; y: (m,) or (m, k) any unit: an error or a force. The swing of a component is the range of its deviation from
+            a straight line through that fifth of the run, so that a slow drift does not count.
 
-    Raises BadArgument for fewer than 20 samples or shapes that do not go together.
+    Raises BadArgument for fewer than 20 samples or inconsistent shapes.
     """
     times, signal = np.asarray(t, float), np.asarray(y, float)
     if times.ndim != 1 or times.size < 20 or signal.shape[0] != times.size:
-        raise BadArgument("t, y", f"shapes {times.shape} and {signal.shape}", "20 samples or more of a signal, (m,) and (m,) or (m, k)")
+        raise BadArgument("t, y", f"shapes {times.shape} and {signal.shape}", "at least 20 samples of a signal, (m,) and (m,) or (m, k)")
     signal = signal.reshape(times.size, -1)
     if not np.isfinite(signal).all():
         return False

@@ -1,4 +1,4 @@
-"""Nonlinear simulation: the equations of the loop in scipy's ``solve_ivp``. The only one who integrates.
+"""Nonlinear simulation: the equations of the loop in scipy's ``solve_ivp``.
 
 Without dead time and sampling: one run, LSODA with the exact Jacobian. With dead time: method of steps, segments no longer than
 the shortest dead time. With a sample time: sample by sample, the torque held, the law's own states advanced as the discrete
@@ -26,19 +26,19 @@ from mfc_analysis.simulation.run import FAR, DenseOutput, Disturbance, Event, Ou
 from mfc_analysis.simulation.sampled import run_sampled
 
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
-SHORTEST = 1e-9  #: [s] a run below this is taken for a slip
+SHORTEST = 1e-9  #: [s] a shorter run is refused
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A nonlinear run: k times."""
+    """A nonlinear run at k times."""
 
     t: Array  #: (k,) [s]
     x: Array  #: (k, nx) states in the order of ``state_names``
     q: Array  #: (k, n) [rad, m]
     v: Array  #: (k, n)
-    tau: Array  #: (k, n) what drives the joints, after dead time, limit and lag [Nm] (velocity laws: the velocity [rad/s])
-    command: Array  #: (k, n) what the law commands
+    tau: Array  #: (k, n) torque at the joints, after dead time, limit and lag [Nm] (velocity laws: velocity [rad/s])
+    command: Array  #: (k, n) command of the law
     error: Array  #: (k, n) e = q_d - q, or (k, 6) X_e for tool laws
     twist: Array  #: (k, 6) body twist of the tool [m/s, rad/s]
     force: Array  #: (k, 6) F_tip, tool frame [N, Nm]
@@ -51,7 +51,7 @@ class Simulation:
 
     @property
     def diverged(self) -> bool:
-        """True where the run stopped before its end; ``message`` says why and when, the arrays keep what there is."""
+        """True where the run stopped before its end; ``message`` says why and when, the arrays end there."""
         return self.outcome is not Outcome.FINISHED
 
     @property
@@ -60,7 +60,7 @@ class Simulation:
         return float(self.t[-1])
 
     def state(self, t: ArrayLike) -> Array:
-        """(m, nx) the state at times within the run, from the solver's dense output. Raises BadArgument outside."""
+        """(m, nx) state at times [s] within the run, from the solver's dense output. Raises BadArgument outside."""
         times = np.atleast_1d(np.asarray(t, float))
         if np.any(times < self.t[0] - 1e-12) or np.any(times > self.t[-1] + 1e-12):
             raise BadArgument("times", t, f"times within the run, {self.t[0]:g} to {self.t[-1]:g} s")
@@ -71,7 +71,7 @@ class Simulation:
         return OperatingPoint(times, self.state(times), np.zeros((len(times), self.q.shape[1])))
 
     def __str__(self) -> str:
-        return f"simulation from {self.t[0]:g} to {self.t[-1]:g} s, {len(self.t)} points, {len(self.events)} contact events: {self.message}"
+        return f"simulation from {self.t[0]:g} to {self.t[-1]:g} s, {len(self.t)} samples, {len(self.events)} contact events: {self.message}"
 
     __repr__ = __str__
 
@@ -95,7 +95,7 @@ def simulate(
     atol: float = 1e-9,
     method: str = "LSODA",
 ) -> Simulation:
-    """The run behind ``ClosedLoop.simulate``, from the state ``x0`` (nx,). Raises BadArgument for bad input, and what the law raises at the start."""
+    """Implements ``ClosedLoop.simulate`` from the state ``x0`` (nx,). Raises BadArgument for bad input, and any error of the law at the start."""
     asked = _asked_times(times)
     checks.choice("method", method, METHODS)
     options = {"rtol": checks.number("rtol", rtol, low=1e-14), "atol": checks.number("atol", atol, low=1e-16), "method": method}
@@ -104,7 +104,7 @@ def simulate(
     moving = np.concatenate([x0[where] for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
     if np.abs(moving).max() > FAR:
         raise BadArgument("the start", float(np.abs(moving).max()), f"positions and velocities up to {FAR:g}")
-    start = e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # an impossible start is an error, not an outcome
+    start = e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # a start that cannot be evaluated raises here; it is not an outcome
     bounded(value(e.join(start.rates)))
     if len(asked) > 1:
         _run(run, asked, x0)
@@ -131,7 +131,7 @@ def _run_continuous(run: Run, asked: Array, x0: Array) -> None:
     known = [np.zeros((e.nx, e.nx))]
 
     def jac(t: float, x: Array) -> Array:
-        with suppress(MfcError):  # a trial step too far: the rates will say so; for the solver the last one will do
+        with suppress(MfcError):  # the trial step is too long: the rates report it, and the solver uses the last Jacobian
             known[0] = closed_matrix(e, np.array([t]), x[None], lose_contact=lose)[0]
         return known[0]
 
@@ -162,7 +162,7 @@ def _gathered(run: Run, asked: Array) -> Simulation:
 
 
 def _signals(run: Run, t: Array, x: Array) -> tuple[Array, Array, Flow]:
-    """The signals along the run, without the last points where the law could not be evaluated any more."""
+    """The signals along the run, up to the last time at which the law can be evaluated."""
     while True:
         try:
             disturbance = None if run.disturbance is None else np.stack([run.disturbance(float(ti)) for ti in t])

@@ -1,7 +1,7 @@
-"""Linear prediction against nonlinear simulation: is the linearisation right, and how far does it reach?
+"""Linear prediction against nonlinear simulation: is the linearisation correct, and up to which disturbance is it valid?
 
 A base run starts at the operating point. Runs from disturbed starts are compared with the transition matrices of the loop
-linearised along the base run. If the linearisation is right the remainder shrinks with the square of the disturbance.
+linearised along the base run. If the linearisation is correct, the remainder shrinks with the square of the disturbance.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from mfc_analysis.simulation.simulation import Simulation, simulate
 
 STEPS = 200
 MISFIT = 0.05  #: nrmse up to which the linear model is said to hold
-ROUNDED = 10.0  #: times the solver's relative tolerance: what two runs of a linear loop differ by (measured: up to 2)
+ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
 LARGEST = 3.0  #: [rad, m] largest disturbance tried
 
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """How well the linear model predicts the nonlinear loop from a disturbed start."""
+    """Accuracy of the linear model's prediction of the nonlinear loop from a disturbed start."""
 
     time: float  #: [s] length of the runs
     size: float  #: [rad, m] of the disturbance of each joint
@@ -40,22 +40,22 @@ class Validation:
     remainders: Array  #: (k,) largest |nonlinear - linear| over the run
     t: Array  #: (N,) [s]
     nonlinear: Array  #: (N, n) joint deviations of the nonlinear run at ``size``
-    linear: Array  #: (N, n) as the linear model predicts them
+    linear: Array  #: (N, n) prediction of the linear model
     message: str = ""  #: why there are no metrics (NaN), where a run did not reach its end
 
     def __str__(self) -> str:
         if self.message:
             return f"not validated: {self.message}"
-        reach = f"{LARGEST:g} rad and beyond" if np.isinf(self.radius) else f"{self.radius:.3g} rad"
+        reach = f"at least {LARGEST:g} rad" if np.isinf(self.radius) else f"{self.radius:.3g} rad"
         return f"Taylor order {self.taylor_order:.3f}; misfit {100 * self.nrmse:.3g} % at {self.size:g} rad; below 5 % up to {reach}"
 
     __repr__ = __str__
 
 
 def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
-    """The comparison behind ``ClosedLoop.validate``.
+    """Implements ``ClosedLoop.validate``.
 
-    Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is no integer >= 0.
+    Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is not an integer >= 0.
     """
     time = checks.number("time", time, low=0.0, strict=True)
     size = checks.number("size", size, low=1e-8)
@@ -119,7 +119,7 @@ def _predict(e: Equations, base: Simulation, t: Array, direction: Array) -> Arra
 
 
 def _order(sizes: Array, remainders: Array, floor: Array) -> float:
-    """Slope of the remainder; inf where there is none above ``floor``, what the solver leaves of a linear loop."""
+    """Slope of the remainder; inf where no remainder exceeds ``floor``, the solver's error on a linear loop."""
     if not np.isfinite(remainders).all():
         return float("nan")
     if np.all(remainders <= floor):
