@@ -1,4 +1,4 @@
-"""From A, B, C, D and names to poles, stability, margins, responses. Knows no robot."""
+"""Poles, stability, margins and responses from A, B, C, D and names. Independent of any robot."""
 
 import lazy_loader
 

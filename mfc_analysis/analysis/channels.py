@@ -1,11 +1,11 @@
 """One loop at a time: the sensitivity of each channel of an analysis point, all other loops closed.
 
-With every wire closed and a signal r added behind wire i, what goes on behind the cut is S_i r, S_i = 1/(1 + L_i), L in
+With every wire closed and a signal r added after wire i, the signal after the cut is S_i r, S_i = 1/(1 + L_i), with L in
 negative feedback:
 
     S_i(s) = d_i + c_i (sI - A)^-1 b_i,      L_i = 1/S_i - 1.
 
-All channels share the closed A. At "position" the encoder is cut, q_i and through it its rate: the rate carries s r, and
+All channels share the closed A. At "position" the encoder is cut, and with q_i its rate: the rate carries s r, and
 s (sI - A)^-1 b = b + (sI - A)^-1 A b keeps S_i in the same form.
 """
 
@@ -33,7 +33,7 @@ class Channels:
 
     @property
     def empty(self) -> Bools:
-        """(m, n) where L_i is identically zero: nothing goes into the wire, or nothing comes out of it."""
+        """(m, n) where L_i is identically zero: the wire has no input or no effect."""
         return np.asarray((self.H0 == 0) & ~(self.B.any(axis=1) & self.C.any(axis=2)))
 
     def at(self, index: Ints | Bools) -> Channels:
@@ -42,14 +42,14 @@ class Channels:
 
 
 def point_wires(system: OpenSystem, at: str) -> slice:
-    """The wires of the analysis point ``at``; raises ``UnknownPoint``, listing the ones there are."""
+    """The wires of the analysis point ``at``. Raises ``UnknownPoint``, which lists the known points."""
     if at not in system.points or at not in system.wires:
         raise UnknownPoint(str(at), system.law, system.points)
     return system.wires[at]
 
 
 def has_rate(system: OpenSystem, at: str) -> bool:
-    """Whether opening ``at`` cuts the "rate" wires with it."""
+    """Whether opening ``at`` also cuts the "rate" wires."""
     return at == "position" and "rate" in system.wires
 
 
@@ -77,9 +77,9 @@ def channels(system: OpenSystem, at: str) -> Channels:
 
 
 def continuous(ch: Channels) -> Channels:
-    """Sampled channels in the w plane, z = (1 + w)/(1 - w): the unit circle becomes the imaginary axis, w = j tan(omega dt / 2).
+    """Sampled channels in the w plane, z = (1 + w)/(1 - w): the unit circle maps to the imaginary axis, w = j tan(omega dt / 2).
 
-    The value at w -> infinity is that at z = -1.
+    w -> infinity corresponds to z = -1.
     """
     if not ch.dt:
         return ch

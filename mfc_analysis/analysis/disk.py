@@ -1,12 +1,12 @@
-r"""Disk margins: all loops of an analysis point perturbed at once.
+r"""Disk margins: all loops at an analysis point perturbed at once.
 
-Every channel i is multiplied by its own complex factor f_i = (1 + d_i/2) / (1 - d_i/2), abs(d_i) < alpha; alpha is the largest disk for which
-the loop stays stable whatever the f_i are (skew 0, the balanced disk):
+Every channel i is multiplied by its own complex factor f_i = (1 + d_i/2) / (1 - d_i/2), abs(d_i) < alpha; alpha is the largest size for which
+the loop is stable for all such f_i (skew 0, the balanced disk):
 
 .. math:: 1/\alpha = \sup_\omega \mu\left(S(j\omega) - \tfrac12 I\right) = \sup_\omega \mu\left(\tfrac12 (S - T)\right)
 
-It guarantees, in all channels at the same time and independently, gains between (1 - alpha/2)/(1 + alpha/2) and its inverse, or phases up to
-2 atan(alpha/2) either way. At infinite frequency S = I, so that alpha is never above 2 (any gain, 90 degrees).
+It guarantees stability, in all channels simultaneously and independently, for gains between (1 - alpha/2)/(1 + alpha/2) and its inverse, or
+for phases up to +-2 atan(alpha/2). At infinite frequency S = I, so that alpha is never above 2 (any gain, 90 degrees).
 
 Sources: Seiler, Packard & Gahinet, "An introduction to disk margins", IEEE Control Systems 40 (2020) 78-95; Blight, Dailey & Gangsaas,
 Int. J. Control 59 (1994) 189-221.
@@ -31,16 +31,16 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 
-EXACT = 1e-6  #: relative gap of the bounds of mu below which alpha is called exact
-CLIMB = 3  #: parabolas with which the highest frequency of the grid is refined
+EXACT = 1e-6  #: relative gap between the bounds of mu below which alpha counts as exact
+CLIMB = 3  #: parabolic steps that refine the highest frequency of the grid
 
 
 class Bound(Enum):
-    """What alpha is; the value is the sentence."""
+    """Which bound alpha is; the value is a sentence."""
 
     EXACT = "exact: the upper bound of mu is attained"
-    UPPER = "a guarantee: from the upper bound of mu, the true margin may be a little larger"
-    BALANCED = "a guarantee: from the balancing bound of mu alone (slycot is not installed), the true margin may be a little larger"
+    UPPER = "a guarantee: from the upper bound of mu; the true margin may be slightly larger"
+    BALANCED = "a guarantee: from the balancing bound of mu alone (slycot is not installed); the true margin may be slightly larger"
     NONE = "none: the loop is unstable"
 
     def __str__(self) -> str:
@@ -59,28 +59,28 @@ class DiskMargin:
     alpha: Array  #: (m,) guaranteed disk size, 0..2
     frequency: Array  #: (m,) [rad/s] where the disk is tightest; inf: nowhere below 2
     alpha_above: Array  #: (m,) the true disk size is at most this (a perturbation of this size that destabilises is known)
-    bound: Bound  #: what alpha is at the worst of the points
+    bound: Bound  #: which bound alpha is at the worst point
 
     @property
     def gain_reduction(self) -> Array:
-        """(m,) factor down to which all gains may fall at once, each by its own."""
+        """(m,) factor down to which all gains may fall simultaneously and independently."""
         return np.asarray((1 - self.alpha / 2) / (1 + self.alpha / 2))
 
     @property
     def gain_increase(self) -> Array:
-        """(m,) factor up to which all gains may rise at once, each by its own; inf for alpha = 2."""
+        """(m,) factor up to which all gains may rise simultaneously and independently; inf for alpha = 2."""
         with np.errstate(divide="ignore"):
             return np.asarray((1 + self.alpha / 2) / np.maximum(1 - self.alpha / 2, 0.0))
 
     @property
     def gain_db(self) -> Array:
-        """(m,) [dB] by which all gains may change at once, up or down."""
+        """(m,) [dB] by which all gains may change simultaneously, up or down."""
         with np.errstate(divide="ignore"):
             return np.asarray(20 * np.log10(self.gain_increase))
 
     @property
     def phase_deg(self) -> Array:
-        """(m,) [deg] by which all phases may change at once, lead or lag."""
+        """(m,) [deg] by which all phases may change simultaneously, lead or lag."""
         return np.asarray(np.degrees(2 * np.arctan(self.alpha / 2)))
 
     def worst(self) -> tuple[float, float, float]:
@@ -120,8 +120,8 @@ def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayL
     """Disk margins at ``at``, a point or several together, e.g. ("torque", "position"): input and output at once.
 
     Args:
-        frequencies: (nf,) [rad/s] > 0, rising: mu is sought on these (and at infinity) only. None: on frequencies placed by the poles of
-            each point, refined around the peak.
+        frequencies: (nf,) [rad/s] > 0, increasing: mu is computed at these (and at infinity) only. None: at frequencies placed by the
+            poles of each point and refined around the peak.
 
     Dead time is exact. Raises ``UnknownPoint`` where the loop cannot be opened, ``BadArgument`` for other frequencies.
     """
@@ -134,7 +134,7 @@ def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayL
     placed = None if grid is not None else _placed(system, known.poles)
     for i in np.flatnonzero(verdict.nonzero_stable):
         own = None
-        if placed is not None:  # zero frequency as well, where no root lies there
+        if placed is not None:  # also zero frequency, where no root lies there
             own = np.unique(placed[i]) if known.roots.count[i] else np.unique(np.append(placed[i], 0.0))
         mu, where[i], lower = _peak(channels, int(i), grid, own)
         alpha[i], above[i] = 1 / mu, 1 / lower
@@ -152,7 +152,7 @@ def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayL
 def singular_values(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayLike) -> SingularValues:
     """Singular values of S and T at ``at`` (a point or several together) over frequencies (nf,) [rad/s] > 0, dead time included.
 
-    Of an unstable loop they are metrics without a meaning as gains. Raises ``UnknownPoint``, ``BadArgument`` as ``disk_margin``.
+    For an unstable loop they are not gains. Raises ``UnknownPoint``, ``BadArgument`` as ``disk_margin``.
     """
     channels = opened(system, at)
     grid = _frequencies(frequencies, system.dt)
@@ -163,9 +163,9 @@ def singular_values(system: OpenSystem, at: str | Sequence[str], frequencies: Ar
 
 
 def _frequencies(given: ArrayLike, dt: float) -> Array:
-    out = checks.array("frequencies", np.atleast_1d(np.asarray(given)), (None,), "positive, rising frequencies [rad/s]")
+    out = checks.array("frequencies", np.atleast_1d(np.asarray(given)), (None,), "positive, increasing frequencies [rad/s]")
     if out.size == 0 or out[0] <= 0 or np.any(np.diff(out) <= 0):
-        raise BadArgument("frequencies", given, "positive, rising frequencies [rad/s]")
+        raise BadArgument("frequencies", given, "positive, increasing frequencies [rad/s]")
     if dt and out[-1] > np.pi / dt * (1 + 1e-12):
         raise BadArgument("frequencies", given, f"frequencies up to half the sample rate, {np.pi / dt:.6g} rad/s")
     return out
@@ -208,7 +208,7 @@ def _peak(channels: Opened, index: int, grid: Array | None, placed: Array | None
 
 
 def _climbed(over: Callable[[Array], tuple[float, float, float]], best: tuple[float, float, float], w: Array) -> tuple[float, float, float]:
-    """From the highest of the frequencies w to the top nearby, by parabolas."""
+    """From the highest of the frequencies w to the nearby peak, by parabolic interpolation."""
     k = int(np.searchsorted(w, best[1]))
     low, high = float(w[max(k - 1, 0)]), float(w[min(k + 1, w.size - 1)])
     seen = [over(np.array([(low + best[1]) / 2])), best, over(np.array([(best[1] + high) / 2]))]

@@ -1,8 +1,8 @@
-r"""Time-varying loops: period maps, Floquet multipliers, the periodic orbit itself, transient growth on finite paths.
+r"""Time-varying loops: period maps, Floquet multipliers, periodic orbits, and transient growth on finite paths.
 
-Frozen poles prove nothing on a moving trajectory. With A(t) the exact linearisation along the motion, Phi' = A(t) Phi, Phi(0) = I;
-the eigenvalues of Phi(T, 0) are the multipliers, and they alone decide a periodic loop. Phi is advanced by Magnus steps of fourth
-order on two Gauss-Legendre nodes,
+Frozen-time poles do not prove stability along a moving trajectory. With A(t) the exact linearisation along the motion,
+Phi' = A(t) Phi, Phi(0) = I; the eigenvalues of Phi(T, 0) are the multipliers, and they decide the stability of a periodic loop. Phi is
+advanced by Magnus steps of fourth order on two Gauss-Legendre nodes,
 
 .. math:: \Omega = \frac{h}{2}(A_1 + A_2) + \frac{\sqrt 3}{12} h^2 [A_2, A_1], \qquad \Phi_{k+1} = e^{\Omega} \Phi_k .
 
@@ -28,32 +28,32 @@ _NODES = np.array([0.5 - math.sqrt(3) / 6, 0.5 + math.sqrt(3) / 6])
 
 
 class FloquetVerdict(Enum):
-    """What the multipliers say about the motion; the value is the sentence."""
+    """Stability verdict of the multipliers; the value is a sentence."""
 
-    STABLE = "stable: every disturbance of the periodic motion dies out"
-    NEUTRAL = "neutral: some disturbances of the periodic motion stay, none grows"
-    DRIFTS = "drifts: a disturbance of the periodic motion grows steadily, period by period, without a rate"
-    UNSTABLE = "unstable: a disturbance of the periodic motion grows, period by period"
+    STABLE = "stable: every disturbance of the periodic motion decays"
+    NEUTRAL = "neutral: some disturbances of the periodic motion persist, none grows"
+    DRIFTS = "drifts: a disturbance of the periodic motion grows polynomially, not exponentially"
+    UNSTABLE = "unstable: a disturbance of the periodic motion grows every period"
     PERIOD_DOUBLING = "unstable by period doubling: a disturbance changes sign every period and grows"
 
 
-STEPS = 80  #: Magnus steps a period: 6.5e-8 of the multipliers on a UR5 loop
+STEPS = 80  #: Magnus steps per period: relative error 6.5e-8 of the multipliers on a UR5 loop
 
 
 @dataclass(frozen=True, eq=False)
 class Floquet:
-    """Multipliers of a periodic loop, with what they mean."""
+    """Floquet multipliers of a periodic loop, with the stability verdict."""
 
     period: float  #: [s]
     multipliers: Complex  #: (nx,) eigenvalues of Phi(T, 0), the largest modulus first
     exponents: Complex  #: (nx,) [1/s, rad/s] log(multipliers) / T, imaginary parts within pi/T
-    growth: float  #: factor by which the slowest disturbance changes in a period: the largest modulus (of those not neutral)
+    growth: float  #: factor of the slowest disturbance in one period: the largest modulus of the multipliers that are not neutral
     verdict: FloquetVerdict
     neutral: int  #: multipliers at 1 that neither grow nor decay
     Phi: Array  #: (nx, nx) the period map
     orbit: Array | None = None  #: (nx,) state of the periodic orbit at its start, where it was computed
-    iterations: int = 0  #: Newton iterations that found it
-    residual: float = 0.0  #: |x(T) - x(0)| there
+    iterations: int = 0  #: Newton iterations used
+    residual: float = 0.0  #: |x(T) - x(0)| of the orbit
 
     @property
     def exponent(self) -> float:
@@ -62,7 +62,7 @@ class Floquet:
 
     @property
     def stable(self) -> bool:
-        """Whether every disturbance dies out (neutral ones excepted, as for frozen poles)."""
+        """Whether every disturbance decays (except neutral ones, as for frozen-time poles)."""
         return self.verdict in (FloquetVerdict.STABLE, FloquetVerdict.NEUTRAL)
 
     def __str__(self) -> str:
@@ -80,32 +80,32 @@ class Orbit:
     """A fixed point of a period map."""
 
     x: Array  #: (nx,) x(T) = x(0)
-    Phi: Array  #: (nx, nx) the derivative of x(T) with respect to x(0), there
+    Phi: Array  #: (nx, nx) derivative of x(T) with respect to x(0) on the orbit
     iterations: int
     residual: float  #: |x(T) - x(0)|
 
 
 @dataclass(frozen=True, eq=False)
 class TransientGrowth:
-    """How far a disturbance can grow on the way, in the loop's own coordinates. ``float()`` gives the largest."""
+    """Growth of a disturbance along a path, in the coordinates of the loop. ``float()`` gives the largest."""
 
     times: Array  #: (N,) [s]
     singular: Array  #: (N,) largest singular value of Phi(t, 0)
-    largest: float  #: the largest of them, >= 1
-    time: float  #: [s] when
-    direction: Array  #: (nx,) the unit initial disturbance that grows so
+    largest: float  #: largest of ``singular``, >= 1
+    time: float  #: [s] of the largest
+    direction: Array  #: (nx,) unit initial disturbance with this growth
 
     def __float__(self) -> float:
         return self.largest
 
     def __str__(self) -> str:
-        return f"a disturbance grows at most {self.largest:.4g} times, at t = {self.time:.4g} s; at the end {self.singular[-1]:.4g} times"
+        return f"a disturbance grows by at most a factor {self.largest:.4g}, at t = {self.time:.4g} s; at the end {self.singular[-1]:.4g}"
 
     __repr__ = __str__
 
 
 def gauss_nodes(edges: Array) -> Array:
-    """(N, 2) times at which ``transition_magnus`` wants A, for steps between the N + 1 ``edges`` [s]."""
+    """(N, 2) times [s] at which ``transition_magnus`` takes A, for steps between the N + 1 ``edges`` [s]."""
     edges = np.asarray(edges, float)
     return np.asarray(edges[:-1, None] + np.diff(edges)[:, None] * _NODES)
 
@@ -137,7 +137,7 @@ def accumulated(steps: Array) -> Array:
 
 
 def period_map(steps: Array) -> Array:
-    """(n, n): the product of all steps, the last on the left, multiplied pairwise in batches."""
+    """(n, n): product of all steps, the last on the left, multiplied pairwise in batches."""
     while steps.shape[0] > 1:
         paired = steps[1::2] @ steps[: 2 * (steps.shape[0] // 2) : 2]
         steps = np.concatenate([paired, steps[-1:]]) if steps.shape[0] % 2 else paired
@@ -145,10 +145,10 @@ def period_map(steps: Array) -> Array:
 
 
 def floquet(Phi: Array, period: float, tolerance: float = 1e-7, orbit: Orbit | None = None) -> Floquet:
-    """The verdict on a period map Phi (nx, nx) over ``period`` [s].
+    """Stability of a period map Phi (nx, nx) over ``period`` [s].
 
     Multipliers at 1 (free positions, integrals that act on nothing) are found by rank, relative to ``tolerance`` (the accuracy of Phi);
-    semisimple ones are neutral, in a chain they drift. On the unit circle otherwise counts as not stable, as an undamped pair does.
+    semisimple ones are neutral, those in a Jordan chain drift. Any other multiplier on the unit circle is not stable, as for undamped poles.
     """
     Phi = np.asarray(Phi, float)
     mu = np.linalg.eigvals(Phi).astype(np.complex128)
@@ -171,7 +171,7 @@ def floquet(Phi: Array, period: float, tolerance: float = 1e-7, orbit: Orbit | N
 
 
 def _ones(Phi: Array, tolerance: float) -> tuple[int, int]:
-    """How many multipliers at 1 are semisimple directions, and how many there are with their chains."""
+    """Number of semisimple directions at multiplier 1, and number of multipliers at 1 with their Jordan chains."""
     N = Phi - np.eye(Phi.shape[0])
     scale = max(1.0, float(np.linalg.norm(Phi, 2)))
     single = int(np.sum(np.linalg.svd(N, compute_uv=False) <= tolerance * scale))
@@ -181,10 +181,10 @@ def _ones(Phi: Array, tolerance: float) -> tuple[int, int]:
 
 
 def shoot(advance: PeriodMap, x0: Array, tolerance: float = 1e-10, iterations: int = 25) -> Orbit:
-    """The periodic orbit near ``x0`` by Newton: x <- x + (I - Phi)^-1 (x(T) - x), halved while the residual grows.
+    """The periodic orbit near ``x0`` by Newton's method: x <- x + (I - Phi)^-1 (x(T) - x), halved while the residual grows.
 
-    ``advance(x)`` returns x(T) and Phi = dx(T)/dx, (nx,) and (nx, nx); only the difference x(T) - x counts, so an angle that turns
-    through 2 pi belongs in ``advance``. Directions in which I - Phi is singular (neutral ones) stay as they are. Converged when
+    ``advance(x)`` returns x(T) and Phi = dx(T)/dx, (nx,) and (nx, nx). Only the difference x(T) - x counts, so ``advance`` must unwrap
+    an angle that turns through 2 pi. Directions in which I - Phi is singular (neutral ones) do not change. Converged when
     |x(T) - x| <= tolerance (1 + |x|). Raises ``NotConverged`` with the residual.
     """
     x = np.array(x0, float)
@@ -207,7 +207,7 @@ def shoot(advance: PeriodMap, x0: Array, tolerance: float = 1e-10, iterations: i
         else:
             break
         x, end, Phi, size = tried, end_tried, Phi_tried, size_tried
-    raise NotConverged(f"no periodic orbit found: |x(T) - x(0)| = {size:.3g} after {count} Newton iterations, asked {goal:.3g}; start nearer")
+    raise NotConverged(f"no periodic orbit found: |x(T) - x(0)| = {size:.3g} after {count} Newton iterations, tolerance {goal:.3g}; start closer")
 
 
 def transient_growth(Phi: Array, times: Array) -> TransientGrowth:

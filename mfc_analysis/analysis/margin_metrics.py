@@ -1,4 +1,4 @@
-"""From crossings to margins: what the two searches, with and without dead time, have in common."""
+"""From crossings to margins: the part common to both searches, with and without dead time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.zero_roots import without_zero_roots
 from mfc_analysis.maths.arrays import Array, Bools, Ints
 
-FARTHEST = 1e9  #: a gain beyond this is infinite, one below its inverse zero
+FARTHEST = 1e9  #: a gain above this counts as infinite, below its inverse as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ def put(metrics: MarginMetrics, index: Ints, found: MarginMetrics) -> None:
 
 
 def channels_without_zeros(ch: Channels, count: int) -> tuple[Channels, Bools]:
-    """The channels without the roots at zero, and (m, n) which of them see these roots after all."""
+    """The channels without the roots at zero, and (m, n) which channels depend on these roots nevertheless."""
     one = np.eye(ch.A.shape[-1]) * (1.0 if ch.dt else 0.0)
     step = ch.dt or 1.0
     parts = [without_zero_roots((a - one) / step, b, c, count) for a, b, c in zip(ch.A, ch.B, ch.C, strict=True)]
@@ -55,12 +55,12 @@ def channels_without_zeros(ch: Channels, count: int) -> tuple[Channels, Bools]:
 
 
 def frequency(w: Array, dt: float) -> Array:
-    """[rad/s] of a place on the axis: w itself, or 2 atan(w) / dt in the w plane of a sampled loop."""
+    """Frequency [rad/s] of a point on the axis: w itself, or 2 atan(w) / dt in the w plane of a sampled loop."""
     return np.asarray(2 * np.arctan(w) / dt) if dt else w
 
 
 def dc_sensitivity(ch: Channels, zeros: Ints) -> Array:
-    """S_i(0) - 1 (m, n), the ``zeros`` (m,) roots at zero taken out; NaN where a channel sees them after all."""
+    """S_i(0) - 1 (m, n) without the ``zeros`` (m,) roots at zero; NaN where a channel depends on them nevertheless."""
     out = np.full(ch.H0.shape, np.nan)
     for count in np.unique(zeros):
         some = np.flatnonzero(zeros == count)
@@ -87,7 +87,7 @@ def sensitivity_at_zero(ch: Channels) -> Array:
 def assembled(gain: Crossings, phase: Crossings, at_zero: Array, at_infinity: Array, to_rads: Callable[[Array], Array]) -> dict[str, Array]:
     """Gain interval, phase and delay margin (m, n) from crossings and from S - 1 at w = 0 and infinity (m, n), which are real.
 
-    ``to_rads`` turns a place on the axis into a frequency [rad/s] (``frequency``).
+    ``to_rads`` converts a point on the axis to a frequency [rad/s] (``frequency``).
     """
     shape = at_zero.shape
     increase, reduction = np.full(shape, np.inf), np.zeros(shape)
@@ -122,9 +122,9 @@ def assembled(gain: Crossings, phase: Crossings, at_zero: Array, at_infinity: Ar
 
 
 def _least(best: Array, best_at: Array, point: Ints, channel: Ints, value: Array, at: Array) -> None:
-    """best[point, channel] = the least of itself and the values (NaN: none), best_at where that is."""
+    """Sets best[point, channel] to the minimum of itself and the values (NaN: none), and best_at to its location."""
     some = np.isfinite(value)
-    order = np.argsort(-value[some], kind="stable")  # of several for one place the last written, the least, stays
+    order = np.argsort(-value[some], kind="stable")  # of several values for one entry the last one written, the smallest, stays
     p, c, v, w = point[some][order], channel[some][order], value[some][order], at[some][order]
     better = v < best[p, c]
     best[p[better], c[better]], best_at[p[better], c[better]] = v[better], w[better]

@@ -1,11 +1,11 @@
 """Margins of one loop at a time, the others closed: gain interval, phase, delay, sensitivity peak.
 
 Definitions. The closed loop stays stable while loop i is multiplied by a gain in (reduction, increase), the largest such
-interval around 1; is turned by less than ``phase_deg`` at any of its crossovers, either way; is delayed by less than
-``delay``. The sensitivity peak is the supremum of |1/(1 + L_i)| over all frequencies, zero and infinity included.
+interval around 1; while its phase changes by less than ``phase_deg``, lead or lag, at any of its crossovers; while it is delayed
+by less than ``delay``. The sensitivity peak is the supremum of |1/(1 + L_i)| over all frequencies, zero and infinity included.
 
-Nothing is sampled: every crossing comes from an eigenvalue problem (``crossings``) and is polished. Roots that are at zero
-are taken out first (``zero_roots``); the others are judged.
+There is no frequency grid: every crossing comes from an eigenvalue problem (``crossings``) and is polished. Roots at zero are
+removed first (``zero_roots``); the metrics are those of the other roots.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from mfc_analysis.maths.arrays import Array, Bools
 
 @dataclass(frozen=True)
 class Worst:
-    """The smallest margins of all times and channels; each value with its time [s] and channel."""
+    """The smallest margins over all times and channels, each with its time [s] and channel."""
 
     gain_increase: tuple[float, float, str]  #: factor
-    gain_reduction: tuple[float, float, str]  #: factor, the largest lower end
+    gain_reduction: tuple[float, float, str]  #: factor, the largest gain reduction
     phase_deg: tuple[float, float, str]
     delay: tuple[float, float, str]  #: [s]
     sensitivity_peak: tuple[float, float, str]
@@ -57,8 +57,8 @@ class Worst:
 class Margins:
     """One-loop-at-a-time margins, the other loops closed, dead time included. ``m`` times, ``n`` channels.
 
-    Infinite (no such crossing) is ``inf``; where a root that is not at zero is unstable all metrics are NaN. A channel of
-    "force" that is not sensed is NaN too. Gains beyond 1e9 count as infinite, below 1e-9 as zero.
+    A margin without a crossing is ``inf``. Where a root that is not at zero is unstable all metrics are NaN; a channel of "force"
+    that is not sensed is also NaN. Gains above 1e9 count as infinite, below 1e-9 as zero.
     """
 
     times: Array  #: (m,) [s]
@@ -71,11 +71,11 @@ class Margins:
     reduction_frequency: Array  #: (m, n) [rad/s] of the root that crosses at the reduction; inf where there is none
     increase_frequency: Array  #: (m, n) [rad/s] of the root that crosses at the increase; inf where there is none
     phase_deg: Array  #: (m, n) smallest over all crossovers, lead or lag
-    crossover: Array  #: (m, n) [rad/s] the gain crossover where the phase margin is attained; inf where |L| is never one
-    delay: Array  #: (m, n) [s] smallest positive time
-    delay_frequency: Array  #: (m, n) [rad/s] the gain crossover where the delay margin is attained
+    crossover: Array  #: (m, n) [rad/s] the gain crossover with the phase margin; inf where |L| is never one
+    delay: Array  #: (m, n) [s] smallest over all crossovers
+    delay_frequency: Array  #: (m, n) [rad/s] the gain crossover with the delay margin
     sensitivity_peak: Array  #: (m, n) supremum of |1/(1 + L)|, at least 1
-    peak_frequency: Array  #: (m, n) [rad/s] where it is attained; 0 and inf are possible
+    peak_frequency: Array  #: (m, n) [rad/s] of the sensitivity peak; 0 and inf are possible
 
     @property
     def gain_increase_db(self) -> Array:
@@ -85,12 +85,12 @@ class Margins:
 
     @property
     def gain_reduction_db(self) -> Array:
-        """(m, n) [dB] -20 log10 of the gain reduction: positive, inf where any reduction is harmless."""
+        """(m, n) [dB] -20 log10 of the gain reduction: positive; inf where no reduction destabilises."""
         with np.errstate(divide="ignore"):
             return np.asarray(-20 * np.log10(self.gain_reduction))
 
     def worst(self) -> Worst:
-        """The smallest margins (largest reduction and peak) with their times and channels; unstable points are listed apart."""
+        """The smallest margins (largest reduction and peak) with their times and channels; unstable points are listed separately."""
 
         def pick(values: Array, largest: bool) -> tuple[float, float, str]:
             some = np.flatnonzero(~np.isnan(values))
@@ -140,7 +140,7 @@ class Margins:
 
 
 def margins(system: OpenSystem, at: str) -> Margins:
-    """Margins of every channel of the analysis point ``at`` at every point, dead time included.
+    """Margins of every channel of the analysis point ``at`` at every operating point, dead time included.
 
     Raises ``UnknownPoint`` where the loop cannot be opened there.
     Source: the crossings follow from S_i(s) = d + c (sI - A)^-1 b, see ``crossings``.
@@ -189,7 +189,7 @@ def _metrics_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: 
     """Metrics of stable channels in the s plane (or the w plane of a loop sampled at ``dt``)."""
     found = resolvent(ch, modes)
     w = frequencies_of_interest(found.poles)
-    if not found.modal.any():  # each of them costs a solution
+    if not found.modal.any():  # each of them costs a linear solution
         w = thinned(w, found.poles)
     H = found.on(w)
     at_zero = sensitivity_at_zero(ch)

@@ -1,8 +1,8 @@
-r"""Structured singular value of a complex matrix for independent complex scalars: 1 / the smallest diagonal that makes I - M Delta singular.
+r"""Structured singular value of a complex matrix for independent complex scalars: 1 / the smallest diagonal Delta with I - M Delta singular.
 
 .. math:: \max_{Q\ \text{unitary diagonal}} \rho(Q M) = \mu(M) \le \inf_{D} \bar\sigma(D M D^{-1})
 
-The infimum is mu itself for up to three scalars. Osborne's balancing gives a nearby D in closed form, for all matrices at once;
+The infimum equals mu for up to three scalars. Osborne's balancing gives a nearby D in closed form, for all matrices at once;
 SLICOT's AB13MD finds the infimum, one matrix at a time.
 
 Sources: Packard & Doyle, "The complex structured singular value", Automatica 29 (1993) 71-109; Osborne, "On pre-conditioning of
@@ -17,15 +17,15 @@ import numpy as np
 
 from mfc_analysis.maths.arrays import Array, Complex
 
-SWEEPS = 4  #: of Osborne's balancing; it is within a few percent of the infimum
-POLISH = 14  #: iterations of the polish; where the largest singular value is simple it gains half a digit in each
+SWEEPS = 4  #: of Osborne's balancing, to within a few percent of the infimum
+POLISH = 14  #: polishing iterations; where the largest singular value is simple, each gains half a digit
 AT_ONCE = 8  #: matrices polished together
-CLOSE = 1e-8  #: bounds closer than this part are the same
-TINY = 1e-14  #: entries below this part of the largest are zero to the balancing
+CLOSE = 1e-8  #: relative difference below which two bounds are equal
+TINY = 1e-14  #: the balancing treats entries below this fraction of the largest as zero
 
 
 def has_slycot() -> bool:
-    """Whether SLICOT's bound is at hand (there is no wheel for Macs with Intel processors)."""
+    """Whether SLICOT's bound is available (there is no wheel for Macs with Intel processors)."""
     return find_spec("slycot") is not None
 
 
@@ -44,10 +44,10 @@ def osborne_bound(M: Complex) -> tuple[Array, Array]:
 
 
 def polished_bound(M: Complex, balance: Array) -> tuple[Array, Array]:
-    """Smaller upper bounds (k,) and lower bounds (k,) of mu, from a balance (k, n) nearby.
+    """Smaller upper bounds (k,) and lower bounds (k,) of mu, from a nearby balance (k, n).
 
-    Where the largest singular value is simple, the best D makes its two vectors equal in every modulus; then their phases give the
-    diagonal that attains it, and both bounds meet.
+    Where the largest singular value is simple, the best D makes the moduli of its two vectors equal. Their phases then give the
+    diagonal that attains it, and both bounds are equal.
     """
     upper = np.full(len(M), np.inf)
     lower = np.zeros(len(M))
@@ -74,10 +74,10 @@ def slicot_bound(M: Complex) -> float:
 
 
 def largest_bound(M: Complex, use_slicot: bool | None = None) -> tuple[float, int, float]:
-    """Largest upper bound of mu over (k, n, n), its index, and the lower bound of mu that the polish found there.
+    """Largest upper bound of mu over (k, n, n), its index, and the lower bound of mu that polishing finds there.
 
-    Osborne's bound ranks all matrices, the polish those that can still beat the best so far, and SLICOT (if ``use_slicot``; None: if it is
-    there) only those that can beat it after that.
+    Osborne's bound ranks all matrices. Polishing takes those that can still exceed the best so far, and SLICOT (if ``use_slicot``; None: if
+    installed) those that can exceed it after polishing.
     """
     slicot = has_slycot() if use_slicot is None else use_slicot
     bound, balance = osborne_bound(M)
@@ -94,7 +94,7 @@ def largest_bound(M: Complex, use_slicot: bool | None = None) -> tuple[float, in
         for j in np.argsort(-upper, kind="stable"):
             if upper[j] <= best * (1 + CLOSE):
                 break
-            wins = slicot and upper[j] > lower[j] * (1 + CLOSE)  # where both bounds meet there is nothing left to win
+            wins = slicot and upper[j] > lower[j] * (1 + CLOSE)  # where both bounds are equal no better bound exists
             found = min(slicot_bound(M[some[j]]), float(upper[j])) if wins else float(upper[j])
             if found > best:
                 best, where, attained = found, int(some[j]), float(lower[j])

@@ -4,14 +4,14 @@ Every ``sample_time`` h the controller reads its measurements, computes, and hol
 
     torque(k) --> [dead time] --> hold --> plant, continuous --> position, rate, force --> [dead time of the force] --> measured at t_k
 
-- The plant is advanced by its matrix exponential under the held torque; a dead time of d + f samples adds d (+ 1) held values as states,
-  with the switch inside the sample where it falls. No Pade, no "half a sample of delay".
-- The force measured through a dead time is the force at t_k - T: between samples the plant's own solution, then a register.
-- The controller's states obey their own linear differential equations with their measurements held over the sample: an integral becomes a
-  forward sum, filters and linear outer loops their zero-order-hold equivalents.
-- External inputs are held over the sample too; outputs are those at t_k.
+- The plant is advanced by its matrix exponential under the held torque. A dead time of d + f samples adds d (+ 1) held values as states,
+  and the torque switches inside the sample at the exact time. There is no Pade approximation and no "half a sample of delay".
+- The force measured through a dead time is the force at t_k - T: the plant's solution between samples, then a register.
+- The controller's states obey their linear differential equations with the measurements held over the sample: an integral becomes a
+  forward sum, filters and linear outer loops become their zero-order-hold equivalents.
+- External inputs are also held over the sample; outputs are those at t_k.
 
-With all wires cut the plant sees the controller through the torque (velocity) wires only; this is checked.
+With all wires cut the controller acts on the plant through the torque (velocity) wires only; this is checked.
 
 Source: Astrom & Wittenmark, Computer-Controlled Systems, chapter 3 (sampling of systems with time delay).
 """
@@ -29,12 +29,12 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 
-WHOLE = 1e-9  #: a dead time this close to whole samples is whole
+WHOLE = 1e-9  #: a dead time this close to a whole number of samples counts as whole
 
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Where everything stands in Z = [states; registers; inputs]."""
+    """Indices into Z = [states; registers; inputs]."""
 
     plant: Ints  #: plant states in Z
     control: Ints  #: controller states in Z
@@ -42,26 +42,26 @@ class _Layout:
     wires: Ints  #: (nw,) wire inputs in Z
     drive: Ints  #: (nd,) driving wires (torque or velocity) among the nw
     whole: Ints  #: (nw,) whole samples of dead time
-    part: Array  #: (nw,) fraction of a sample beyond them
-    first: Ints  #: (nw,) first register of each wire in Z, -1 without
-    size: int  #: of Z
+    part: Array  #: (nw,) remaining fraction of a sample
+    first: Ints  #: (nw,) first register of each wire in Z, -1 if it has none
+    size: int  #: size of Z
     registers: int
 
     def past(self, wire: int, samples: int) -> int:
-        """Where in Z the value stands that was put into a driving wire so many samples ago."""
+        """Index in Z of the value that entered a driving wire ``samples`` samples ago."""
         return int(self.wires[wire] if samples == 0 else self.first[wire] + samples - 1)
 
 
 def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
-    """The loop as its sampled controller sees it: discrete (``dt`` = ``sample_time`` [s]), dead time inside, wires still cut.
+    """The loop with a sampled controller: discrete (``dt`` = ``sample_time`` [s]), dead time included, wires still cut.
 
-    States keep their order and names; behind them come the held values of dead times, "torque[-1] joint" one sample old and so on. The
-    points stay those of the continuous loop except "position": its rate wire has no exact sampled counterpart of "s times the position",
+    States keep their order and names; the held values of dead times follow, such as "torque[-1] joint", one sample old. The analysis
+    points are those of the continuous loop except "position": its rate wire has no exact sampled counterpart of "s times the position",
     so that the encoder is not opened in a sampled loop.
 
-    Raises ``BadArgument`` for a sample time that is not positive or so long that the plant overflows in it, ``Unsupported`` where the
-    controller reaches the plant past its torque (velocity) wires, where another wire than these or "force" has dead time, or where the loop
-    is sampled already.
+    Raises ``BadArgument`` for a sample time that is not positive or so long that the plant overflows, ``Unsupported`` where the controller
+    acts on the plant other than through its torque (velocity) wires, where a wire other than these or "force" has dead time, or where the
+    loop is already sampled.
     """
     h = checks.number("sample_time", sample_time, low=0.0, strict=True)
     layout = _layout(system, h)
@@ -102,20 +102,20 @@ def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
 
 def _layout(system: OpenSystem, h: float) -> _Layout:
     if system.dt:
-        raise Unsupported("sample_time", h, f"a continuous loop; this one is sampled already, every {system.dt:g} s")
+        raise Unsupported("sample_time", h, f"a continuous loop; this one is already sampled, every {system.dt:g} s")
     nx, nu, nw = system.nx, system.nu, system.nw
     plant = np.array(sorted(system.plant_states), int)
     control = np.setdiff1d(np.arange(nx), plant)
     name = next((point for point in ("torque", "velocity") if point in system.wires), None)
     if name is None or plant.size == 0:
-        raise Unsupported("sample_time", h, "a loop whose plant is driven through torque or velocity wires")
+        raise Unsupported("sample_time", h, "a loop with torque or velocity wires to the plant")
     drive = np.arange(nw)[system.wires[name]]
     past_wires = np.abs(system.A[:, plant[:, None], control]).max(initial=0.0)
     others = nu + np.setdiff1d(np.arange(nw), drive)
     past_wires = max(past_wires, np.abs(system.B[:, plant[:, None], others]).max(initial=0.0))
     seen = system.C[:, system.ny + np.arange(nw)[system.wires["force"]]][:, :, control] if "force" in system.wires else np.zeros(1)
     if past_wires > 1e-12 * (1 + np.abs(system.A).max(initial=0.0)) or np.any(seen):
-        raise Unsupported("sample_time", h, f"a loop whose controller reaches the plant through its {name} wires only")
+        raise Unsupported("sample_time", h, f"a loop whose controller acts on the plant through its {name} wires only")
     samples = system.wire_delay / h
     whole = np.floor(samples + WHOLE).astype(int)
     part = np.where(samples - whole > WHOLE, samples - whole, 0.0)
@@ -132,7 +132,7 @@ def _layout(system: OpenSystem, h: float) -> _Layout:
 
 
 def _advanced(system: OpenSystem, layout: _Layout, h: float, time: float) -> Array:
-    """The plant ``time`` into the sample (0 < time <= h), (m, np, size of Z): held torques switch where their dead time says."""
+    """The plant at ``time`` into the sample (0 < time <= h), (m, np, size of Z): each held torque switches after its dead time."""
     p, nu = layout.plant, system.nu
     A = system.A[:, p[:, None], p]
     B = system.B[:, p[:, None], np.concatenate([np.arange(nu), nu + layout.drive])]
@@ -150,7 +150,7 @@ def _advanced(system: OpenSystem, layout: _Layout, h: float, time: float) -> Arr
 
 
 def _controlled(system: OpenSystem, layout: _Layout, h: float) -> Array:
-    """The controller's states a sample later, (m, nc, size of Z): its measurements held."""
+    """The controller's states one sample later, (m, nc, size of Z), with its measurements held."""
     c, p, nu = layout.control, layout.plant, system.nu
     held = np.zeros((len(system.A), c.size, layout.size))
     held[:, :, p] = system.A[:, c[:, None], p]
@@ -166,7 +166,7 @@ def _controlled(system: OpenSystem, layout: _Layout, h: float) -> Array:
 
 
 def _seen(system: OpenSystem, layout: _Layout, wire: int, h: float) -> Array:
-    """What a delayed sensor will report: its signal (1 - part) h into the sample, (m, size of Z)."""
+    """Signal that a delayed sensor reports later: at (1 - part) h into the sample, (m, size of Z)."""
     time = (1 - layout.part[wire]) * h
     row = system.ny + wire
     out = (system.C[:, row : row + 1, layout.plant] @ _advanced(system, layout, h, time))[:, 0]
@@ -177,7 +177,7 @@ def _seen(system: OpenSystem, layout: _Layout, wire: int, h: float) -> Array:
 
 
 def _add_wires(rows: Array, D: Array, layout: _Layout, *, at_end: bool) -> None:
-    """Direct terms of the wires: what acts is the delayed value, at the start of the sample or (``at_end``) after its switch."""
+    """Direct terms of the wires: the delayed value acts, at the start of the sample or (``at_end``) after its switch."""
     for wire in range(D.shape[-1]):
         place = layout.wires[wire]
         if wire in layout.drive:

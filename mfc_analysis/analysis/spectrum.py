@@ -1,7 +1,7 @@
-"""Poles, and what they say: stable, neutral, drifting.
+"""Poles of the closed loop.
 
-Roots at zero (at z = 1 of a sampled loop) are told by rank (``zero_roots``), the others by the sign of their real part.
-Dead time is left out of the poles and exact in the verdict.
+Roots at zero (z = 1 in a sampled loop) are found by rank (``zero_roots``); the others are judged by the sign of their real part.
+The poles leave dead time out; the stability verdict includes it exactly.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.analysis.zero_roots import ZeroRoots, nonzero_roots, zero_roots
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 
-UNDAMPED = 1e-10  #: a root whose real part is below this part of its modulus counts as undamped: not stable
+UNDAMPED = 1e-10  #: a root whose real part is below this fraction of its modulus counts as undamped: not stable
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Poles at m points with which of them are at zero. Slowest first; dead time left out."""
+    """Poles at m points, and which of them are at zero. Slowest first; dead time left out."""
 
     poles: Complex  #: (m, nx) [rad/s], or in the z plane
-    zero: Bools  #: (m, nx) True for the roots at zero (z = 1), told by rank; their value is exact
+    zero: Bools  #: (m, nx) True for the roots at zero (z = 1), found by rank; their value is exact
     roots: ZeroRoots
     dt: float  #: [s] 0: continuous
 
@@ -53,7 +53,7 @@ def rates(poles: Complex, dt: float) -> Complex:
 
 
 def spectrum(system: OpenSystem, eigenvalues: Complex | None = None) -> Spectrum:
-    """Poles of the closed loop, dead time left out, with the roots at zero told by rank. ``eigenvalues``: (m, nx) where they are known."""
+    """Poles of the closed loop, dead time left out, with the roots at zero found by rank. ``eigenvalues``: (m, nx), if already known."""
     A = close_wires(system)[0]
     one = 1.0 if system.dt else 0.0
     found = np.array(np.linalg.eigvals(A) if eigenvalues is None else eigenvalues, np.complex128).reshape(A.shape[:2])
@@ -63,7 +63,7 @@ def spectrum(system: OpenSystem, eigenvalues: Complex | None = None) -> Spectrum
     size = np.abs(found - one)
     doubtful = np.flatnonzero(size.min(axis=1, initial=np.inf) <= 1e-3 * size.max(axis=1, initial=0.0))
     if doubtful.size:
-        # a sampled loop rests and slides where the continuous one behind it does, and that one shows it without rounding
+        # a sampled loop has the neutral and drifting roots of its continuous loop, whose matrices show them without rounding
         behind = None if system.continuous is None else close_wires(system.continuous)[0]
         some = zero_roots((shifted if behind is None else behind)[doubtful], system.integrals)
         for name in ("dropped", "neutral", "drifts", "count"):
@@ -78,14 +78,14 @@ def spectrum(system: OpenSystem, eigenvalues: Complex | None = None) -> Spectrum
 
 
 def poles(system: OpenSystem) -> Complex:
-    """Eigenvalues (m, nx) of the closed loop [rad/s] (sampled loops: z), slowest first, roots at zero before all. Dead time is left out."""
+    """Eigenvalues (m, nx) of the closed loop [rad/s] (sampled loops: z), roots at zero first, then slowest first. Dead time is left out."""
     return spectrum(system).poles
 
 
 def inside(poles: Complex, dt: float, fastest: Array | None = None) -> Bools:
-    """Which of the poles (m, k) decay. Undamped pairs, exact up to rounding, do not.
+    """Which of the poles (m, k) are stable. Undamped pairs (up to rounding) are not.
 
-    Rounding of a root is relative to the fastest root of its matrix, given where ``poles`` is not all of them.
+    Rounding is relative to the fastest root of the matrix; ``fastest`` gives it where ``poles`` holds only some of the roots.
     """
     s = rates(poles, 1.0 if dt else 0.0)
     floor = 1e-13 if dt else 1e-14 * (np.abs(s).max(axis=-1, keepdims=True, initial=0.0) if fastest is None else fastest[..., None])

@@ -1,4 +1,4 @@
-"""The verdict: stable, neutral, drifting; dead time exact."""
+"""Stability verdict: stable, neutral or drifting; dead time exact."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from mfc_analysis.maths.arrays import Array, Bools, Ints
 
 @dataclass(frozen=True, eq=False)
 class Stability:
-    """The verdict at m points, dead time included."""
+    """Stability verdict at m points, dead time included."""
 
-    stable: Bools  #: (m,) every root that is not neutral lies inside, nothing drifts, and there is more than neutral roots
+    stable: Bools  #: (m,) every root that is not neutral is stable, nothing drifts, and not all roots are neutral
     neutral: Ints  #: (m,) semisimple roots at zero (free positions)
     drifts: Bools  #: (m,) a Jordan chain at zero: a position that slides, a speed that ramps
-    nonzero_stable: Bools  #: (m,) the roots that are not at zero all lie inside: what margins and searches judge
+    nonzero_stable: Bools  #: (m,) all roots that are not at zero are stable; margins and searches use this
     idle: Ints  #: (m,) integrals that act on nothing, left out of the verdict
 
 
 def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
-    """Stable, neutral or drifting at each point, dead time included (definition: "Stable, neutral, drifting" of the guide).
+    """Stable, neutral or drifting at each point, dead time included (see "Stable, neutral, drifting" in the guide).
 
-    Integrals that act on nothing are dropped first. ``known``: the spectrum, where it has been computed already.
+    Integrals that act on nothing are dropped first. ``known``: the spectrum, if already computed.
     """
     known = spectrum(system) if known is None else known
     roots = known.roots

@@ -1,4 +1,4 @@
-"""A sampled response that is known between its samples."""
+"""A sampled response that can be evaluated between its samples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mfc_analysis.maths.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A sampled response that is known between its samples as well."""
+    """A sampled response that can be evaluated between its samples."""
 
     t: Array  #: (k,) [s]
     y: Array  #: (k,)

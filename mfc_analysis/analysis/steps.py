@@ -1,7 +1,7 @@
 """Step responses of the closed loop, with their metrics.
 
-Samples come from one matrix exponential by doubling (x[k + 2^p] from x[k] in one product), metrics from the exact response
-between the samples: rise, settling and peak don't depend on the grid. With dead time see ``delayed_steps``.
+Samples come from one matrix exponential by doubling (x[k + 2^p] from x[k] in one product). Metrics come from the exact response
+between the samples: rise, settling and peak do not depend on the grid. For dead time see ``delay.steps``.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from mfc_analysis.maths.checks import number
 from mfc_analysis.maths.roots import root_between
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 
-BAND = 0.02  #: of the settling time
-SAMPLES = 1000  #: at least, of one response
+BAND = 0.02  #: settling band
+SAMPLES = 1000  #: fewest samples of a response
 
 
 class Outcome(enum.Enum):
-    """What the response does in the end."""
+    """Long-term behaviour of the response."""
 
     SETTLES = "the response settles"
     RAMPS = "the response never settles: a root at zero integrates the input"
@@ -40,7 +40,7 @@ class Outcome(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Response of one output to a unit step of one input. NaN: not defined (nothing settles, or it settles at zero)."""
+    """Response of one output to a unit step of one input. NaN: not defined (it does not settle, or it settles at zero)."""
 
     t: Array  #: (k,) [s]
     y: Array  #: (k,) output per unit of the input
@@ -53,7 +53,7 @@ class Step:
     settling: float  #: [s] last time outside ``settling_band``; inf where it ramps, NaN where it grows
     settling_band: float  #: 0.02: of the final value, or of the peak where that is zero
     overshoot: float  #: fraction of the final value by which the peak exceeds it; NaN if that is zero
-    undershoot: float  #: fraction of the final value by which the response first goes the wrong way
+    undershoot: float  #: fraction of the final value by which the response first moves in the wrong direction
     peak: float  #: largest |y|; NaN where it does not settle
     peak_time: float  #: [s]
 
@@ -69,10 +69,10 @@ class Step:
 
 
 def step(system: OpenSystem, index: int, input: str | int, output: str | int, duration: float | None = None) -> Step:
-    """Unit step of ``input`` at ``output``, of the closed loop at point ``index``, dead time included.
+    """Unit step response from ``input`` to ``output`` of the closed loop at point ``index``, dead time included.
 
-    ``input``, ``output``: names or numbers; ``duration`` [s] of the samples returned, omitted: about twice the settling time.
-    The metrics don't depend on it. Raises ``UnknownName`` and ``BadArgument``.
+    ``input``, ``output``: names or numbers; ``duration`` [s] of the samples returned; omitted: about twice the settling time.
+    The metrics do not depend on it. Raises ``UnknownName`` and ``BadArgument``.
     """
     if not -len(system.A) <= index < len(system.A):
         raise BadArgument("index", index, f"a point from 0 to {len(system.A) - 1}")
@@ -110,7 +110,7 @@ def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
 
 
 def _end(system: OpenSystem, into: int, out: int, others_decay: bool, known: Spectrum) -> tuple[Outcome, float]:
-    """What the response does in the end, and its final value. Dead time has passed by then."""
+    """Long-term behaviour of the response and its final value, on which dead time has no effect."""
     if not others_decay:
         return Outcome.GROWS, np.nan
     A, B, C, D = close_wires(system)
@@ -162,7 +162,7 @@ def _sampled(A: Array, b: Array, c: Array, d: float, dt: float, samples: int) ->
 
 
 def _doubled(move: Array, push: Array, samples: int) -> Array:
-    """x[k + 1] = move x[k] + push from x[0] = 0: (nx, samples + 1), doubling what is known until there is enough."""
+    """x[k + 1] = move x[k] + push from x[0] = 0: (nx, samples + 1), by doubling."""
     x = np.zeros((len(push), 1))
     with np.errstate(over="ignore", invalid="ignore"):
         while x.shape[1] <= samples:
@@ -180,7 +180,7 @@ def _samples(duration: float, known: Spectrum, dt: float) -> int:
 
 
 def first_duration(system: OpenSystem, into: int, out: int) -> float:
-    """[s] to begin with: that of the loop without its dead time, no less than a few dead times, and long enough to see growth."""
+    """First duration [s]: that of the loop without dead time, at least a few dead times, and long enough to show growth."""
     free = delay_free_duration(replace(system, wire_delay=np.zeros_like(system.wire_delay)), into, out)
     enough = max(free, 10 * float(system.wire_delay.max()))
     growth = float(delay_roots(system, 1)[0, 0].real)
@@ -188,7 +188,7 @@ def first_duration(system: OpenSystem, into: int, out: int) -> float:
 
 
 def delay_free_duration(system: OpenSystem, into: int, out: int) -> float:
-    """[s] about twice the settling time of a system with one point and without dead time; eight of its slowest times where nothing settles."""
+    """[s] about twice the settling time of a system with one point, without dead time; eight slowest time constants if it does not settle."""
     known = spectrum(system)
     outcome, steady = _end(system, into, out, bool(stability(system, known).nonzero_stable[0]), known)
     run = _settled_run(_runner(system, into, out), known, steady if outcome is Outcome.SETTLES else None, system.dt)
@@ -196,7 +196,7 @@ def delay_free_duration(system: OpenSystem, into: int, out: int) -> float:
 
 
 def _settled_run(run_for: Callable[[float, int], Run], known: Spectrum, steady: float | None, dt: float, first: float | None = None) -> Run:
-    """A run about twice as long as it takes to settle; eight of the slowest times where nothing settles. ``first``: [s] to begin with."""
+    """A run of about twice the settling time; eight slowest time constants if it does not settle. ``first``: [s] first duration."""
     s = rates(known.poles, dt)[~known.zero]
     rate = np.abs(s.real[np.isfinite(s.real) & (np.abs(s.real) > 1e-12 * np.abs(s))])
     if steady is None:
@@ -257,7 +257,7 @@ def _metrics(run: Run, steady: float, dt: float) -> dict[str, float]:
 
 
 def _first(run: Run, level: float, exact: bool) -> float:
-    """[s] the first time y reaches the level; zero if it starts beyond it."""
+    """[s] the first time at which y reaches the level; zero if it starts above it."""
     beyond = run.y >= level if level > 0 else run.y <= level
     k = int(np.argmax(beyond))
     if not beyond[k]:
@@ -266,7 +266,7 @@ def _first(run: Run, level: float, exact: bool) -> float:
 
 
 def _crossing(run: Run, k: int, level: float) -> float:
-    """[s] where y passes the level between samples k and k + 1."""
+    """[s] time at which y crosses the level between samples k and k + 1."""
     h = float(run.t[k + 1] - run.t[k])
     if (run.y[k] - level) * (run.y[k + 1] - level) > 0:
         return float(run.t[k + 1])
@@ -282,7 +282,7 @@ def _slope(run: Run, k: int, ahead: float) -> float:
 
 
 def _extreme(run: Run, sign: float, exact: bool) -> tuple[float, float]:
-    """The largest sign y and its time [s], from the slope's zero between the samples."""
+    """The largest sign * y and its time [s], from the zero of the slope between the samples."""
     best = int(np.argmax(sign * run.y))
     for k in (best - 1, best):
         if exact and 0 <= k < run.t.size - 1 and run.slope[k] * sign > 0 > run.slope[k + 1] * sign:

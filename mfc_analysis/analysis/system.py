@@ -1,15 +1,15 @@
-"""The linear loop with every wire cut, at m operating points: what all of ``analysis`` works on. It knows no robot.
+"""The linear loop with every wire cut, at m operating points: the model that ``analysis`` works on. It holds no robot.
 
 A *wire* is a signal of the loop that can be cut: the commanded torques, the acceleration command, the encoder, the force
-sensor. Cut, each wire is an output (what arrives at the cut) and an input (what goes on behind it); closing it sets the
+sensor. A cut wire is an output (the signal before the cut) and an input (the signal after it); closing the wire sets the
 input equal to the output, delayed by ``wire_delay`` where there is dead time.
 
 ::
 
-    x' = A x + B [u; w_in]         u: external inputs        w_in:  behind the cut
-    [y; w_out] = C x + D [u; w_in]  y: external outputs       w_out: at the cut
+    x' = A x + B [u; w_in]         u: external inputs        w_in:  after the cut
+    [y; w_out] = C x + D [u; w_in]  y: external outputs       w_out: before the cut
 
-With ``dt > 0`` the model is discrete (x' is the next x) and dead time is already inside (``wire_delay`` all zero).
+With ``dt > 0`` the model is discrete (x' is the next x) and includes the dead time (``wire_delay`` is zero).
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class OpenSystem:
     wires: Mapping[str, slice]  #: point name -> its wires among the nw, e.g. {"torque": slice(0, 6), "position": slice(6, 12), "rate": slice(12, 18)}
     wire_names: tuple[str, ...]  #: nw names of the channels (joint names, or fx..mz)
     wire_delay: Array  #: (nw,) [s] dead time on each wire
-    points: tuple[str, ...]  #: analysis points a user may open ("rate" is the v behind "position", never opened alone)
+    points: tuple[str, ...]  #: analysis points a user may open ("rate" is the v that goes with "position" and is never opened alone)
     integrals: tuple[int, ...] = ()  #: states that are integrals of a controller (dropped where they act on nothing)
     plant_states: tuple[int, ...] = ()  #: states of the plant (the others belong to the controller)
     law: str = "the loop"  #: for messages
     dt: float = 0.0  #: [s] sample time, 0: continuous
-    continuous: OpenSystem | None = None  #: of a sampled loop: the continuous one behind it
+    continuous: OpenSystem | None = None  #: of a sampled loop: its continuous loop
 
     @property
     def nx(self) -> int:
@@ -66,7 +66,7 @@ class OpenSystem:
 
     @property
     def delayed(self) -> bool:
-        """True where dead time is outside the matrices: infinitely many roots."""
+        """True where the matrices leave out dead time: the loop then has infinitely many roots."""
         return bool(self.wire_delay.any()) and not self.dt
 
     def at(self, index: slice | Ints | Bools) -> OpenSystem:
@@ -100,7 +100,7 @@ def close_wires(system: OpenSystem, keep: Bools | None = None) -> tuple[Array, A
 
 
 def without_idle(system: OpenSystem) -> OpenSystem:
-    """The system without controller integrals on which nothing depends at any of its points: the same verdicts, fewer states."""
+    """The system without controller integrals that affect nothing at any of its points: the same verdicts with fewer states."""
     used = np.ones(system.nx, bool)
     for i in system.integrals:
         used[i] = system.A[:, :, i].any() or system.C[:, :, i].any()

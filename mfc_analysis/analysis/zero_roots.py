@@ -1,8 +1,8 @@
-"""Roots at zero, decided by rank: how many, whether they slide, and the system without them.
+"""Roots at zero, found by rank: their number, whether they drift, and the system without them.
 
-A root at zero is never told by the size of a computed eigenvalue: with lag a genuine root may lie at -2e-3, and a triple
-zero is computed as three numbers of size 1e-5. Entries that are rounding are cleared, rows and columns are scaled to one
-(Ruiz), and the rank of what is left decides. Left and right null vectors that are orthogonal belong to a Jordan chain.
+The size of a computed eigenvalue does not decide: with lag a genuine root may lie at -2e-3, and a triple zero is computed as
+three numbers of size 1e-5. Rounding errors are set to zero, rows and columns are scaled to one (Ruiz), and the rank of the
+result decides. Left and right null vectors that are orthogonal belong to a Jordan chain.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
-ROUNDED = 4e-15  #: an entry below this part of the largest one in its row is rounding
+ROUNDED = 4e-15  #: an entry below this fraction of the largest in its row is rounding error
 RANK = 1e-10  #: singular values below this, where rows and columns have maximum one, are zero
 ANGLE = 1e-8  #: cosines between left and right null spaces below this are zero
 
@@ -30,9 +30,9 @@ class ZeroRoots:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """One system in two parts that do not touch: the roots that are not at zero, and a nilpotent part with those that are."""
+    """One system in two decoupled parts: the roots that are not at zero, and a nilpotent part with the roots at zero."""
 
-    A: Array  #: (k, k) every root but those at zero
+    A: Array  #: (k, k) all roots except those at zero
     B: Array  #: (k, p)
     C: Array  #: (q, k)
     A_zero: Array  #: (a, a) nilpotent
@@ -41,9 +41,9 @@ class Split:
 
 
 def equilibrated(A: Array) -> tuple[Array, Array, Array]:
-    """E = diag(r) A diag(c) with the largest entry of each row and column near one, and r, c (..., nx): Ruiz's scaling.
+    """E = diag(r) A diag(c) with the largest entry of each row and column near one, and r, c (..., nx): Ruiz scaling.
 
-    Rounding is cleared first. Rows and columns of zeros stay, with r c = 1. ``sqrt(r / c)`` balances the states.
+    Rounding errors are set to zero first. Rows and columns of zeros stay, with r c = 1. ``sqrt(r / c)`` balances the states.
     """
     E, r, c = _scaled(A)
     some_row, some_column = E.any(axis=-1), E.any(axis=-2)
@@ -53,7 +53,7 @@ def equilibrated(A: Array) -> tuple[Array, Array, Array]:
 
 
 def _scaled(A: Array) -> tuple[Array, Array, Array]:
-    """``equilibrated`` of any (..., p, q); rows and columns of zeros keep the scale one."""
+    """``equilibrated`` for any (..., p, q); rows and columns of zeros keep a scale of one."""
     size = np.abs(A)
     size = np.where(size < ROUNDED * size.max(axis=-1, keepdims=True), 0.0, size)
     some_row, some_column = (size > 0).any(axis=-1), (size > 0).any(axis=-2)
@@ -93,9 +93,9 @@ def zero_roots(A: Array, integrals: tuple[int, ...] = ()) -> ZeroRoots:
 
 
 def without_zero_roots(A: Array, B: Array, C: Array, count: int | None = None) -> Split:
-    """A (nx, nx), B (nx, p), C (q, nx) with the roots at zero taken out: C (sI - A)^-1 B is the sum of the two parts.
+    """A (nx, nx), B (nx, p), C (q, nx) with the roots at zero split off: C (sI - A)^-1 B is the sum of the two parts.
 
-    ``count``: how many they are, where that is known better than this matrix tells (a sampled loop rounds its own zeros away).
+    ``count``: the number of roots at zero, if known from elsewhere (rounding hides the zeros of a sampled loop).
     """
     scale, balanced = _balanced(A)
     B, C = B / scale[:, None], C * scale
@@ -122,9 +122,9 @@ def nonzero_roots(A: Array, count: int) -> Complex:
 
 
 def without_decoupled_zeros(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
-    """A (nx, nx), B (nx, p), C (q, nx) without the roots at zero that C doesn't see or B doesn't drive, whole chains of them.
+    """A (nx, nx), B (nx, p), C (q, nx) without the chains of roots at zero that are unobservable from C or uncontrollable from B.
 
-    C (sI - A)^-1 B stays what it is, and so does every loop closed around it.
+    C (sI - A)^-1 B does not change, nor does any loop closed around it.
     """
     scale, A = _balanced(A)
     B, C = B / scale[:, None], C * scale
@@ -150,7 +150,7 @@ def _null_columns(A: Array) -> Array:
 
 
 def _balanced(A: Array) -> tuple[Array, Array]:
-    """Scales d and diag(1/d) A diag(d), whose rows and columns are of a size."""
+    """Scales d and diag(1/d) A diag(d), with rows and columns of similar size."""
     E, r, c = equilibrated(A)
     root = np.sqrt(r * c)
     return np.sqrt(c / r), E / root[:, None] / root[None, :]

@@ -153,7 +153,7 @@ def test_transient_growth_of_a_shear_is_its_singular_value() -> None:
     assert found.time == t[int(np.argmax(norms))]
     assert np.linalg.norm(Phi[int(np.argmax(norms))] @ found.direction) == pytest.approx(found.largest)
     assert found.largest > 1
-    assert "grows at most" in str(found)
+    assert "grows by at most" in str(found)
     with pytest.raises(BadArgument, match="Phi"):
         transient_growth(Phi, t[:-1])
 

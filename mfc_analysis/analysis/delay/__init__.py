@@ -1,1 +1,1 @@
-"""Dead time, exact."""
+"""Exact analysis of dead time."""

@@ -1,13 +1,13 @@
-"""Margins of loops with dead time, exact: e^(-jwT) on every delayed wire, nothing approximated by polynomials.
+"""Exact margins of loops with dead time: e^(-jwT) on every delayed wire, without Pade approximation.
 
-With W(s) = (I - G(s))^-1 the closed loop without dead time, from behind each cut to behind each cut (G: all wires cut), and
+With W(s) = (I - G(s))^-1, the closed loop without dead time from after each cut to after each cut (G: all wires cut), and
 E = diag(e^(-s T)), the sensitivities of the loop with dead time are
 
     (I - E G)^-1 = W [(I - E) W + E]^-1,        S_i = e_i W [(I - E) W + E]^-1 p_i,
 
-p_i = e_i (at "position": e_q + s e_v). There are infinitely many crossings. They are bracketed on frequencies that resolve
-the open and closed poles, the rightmost roots of the loop with dead time, and the turning of e^(-jwT); then polished. The
-search goes on in frequency until no higher crossing can bind.
+p_i = e_i (at "position": e_q + s e_v). There are infinitely many crossings. They are bracketed on a frequency grid that
+resolves the open and closed poles, the rightmost roots of the loop with dead time, and the phase of e^(-jwT); then polished.
+The search continues to higher frequencies until no further crossing can limit a margin.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from mfc_analysis.analysis.spectrum import Spectrum
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
-MOST = 40_000  #: frequencies of one point
-TURN = 0.2  #: [rad] of e^(-jwT) between two frequencies
+MOST = 40_000  #: frequencies at one point
+TURN = 0.2  #: [rad] phase of e^(-jwT) between two frequencies
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """One point, ready to be evaluated: W(s) = M + C (sI - A)^-1 B of the wires that matter."""
+    """One point, ready for evaluation: W(s) = M + C (sI - A)^-1 B of the relevant wires."""
 
     A: Array
     B: Array
     C: Array
     M: Array
     T: Array  #: (k,) [s] of these wires
-    rows: Ints  #: (n,) which of them the channels are
-    rates: Ints | None  #: (n,) which carry their rates
-    modes: tuple[Complex, Complex, Complex] | None  #: poles, C V, V^-1 B where these can be trusted
+    rows: Ints  #: (n,) indices of the channels among them
+    rates: Ints | None  #: (n,) indices of the wires with their rates
+    modes: tuple[Complex, Complex, Complex] | None  #: poles, C V, V^-1 B where these are well conditioned
 
     def H(self, w: Array) -> Complex:
         """S_i - 1 of all channels, (n, k), at w (k,) [rad/s]."""
@@ -144,7 +144,7 @@ def _metrics(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: C
 
 
 def _resolved(w: Array, low: float, high: float, longest: float) -> Array:
-    """Frequencies w in [low, high], with steps over which e^(-jwT) turns little and which are short in the logarithm."""
+    """Frequencies w in [low, high], in steps with a small phase change of e^(-jwT) and a small logarithmic change."""
     count = int(min(MOST, np.ceil((high - low) * longest / TURN) + 2))
     even = np.linspace(low, high, count)
     start = max(low, float(w[w > 0].min()))
@@ -154,7 +154,7 @@ def _resolved(w: Array, low: float, high: float, longest: float) -> Array:
 
 
 def _refined(point: _Point, w: Array, H: Complex) -> tuple[Array, Complex]:
-    """More frequencies where Re H + 1/2 or Im H turns back just before zero: two crossings may hide there."""
+    """Additional frequencies where Re H + 1/2 or Im H turns back just before zero, since two crossings may lie there."""
     for _ in range(2):
         gaps: set[int] = set()
         for f in (H.real + 0.5, H.imag):
@@ -177,7 +177,7 @@ def _crossings(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, A
     """Channels, frequencies and H of the sign changes of Re H + 1/2 (``gain``) or Im H, by the Illinois rule."""
     f = H.real + 0.5 if gain else H.imag
     changes = (f[:, :-1] >= 0) != (f[:, 1:] >= 0)  # a zero exactly on one of them counts once
-    if not gain:  # a loop too small for any gain to matter changes sign by rounding, everywhere
+    if not gain:  # a loop with negligible gain changes sign everywhere by rounding
         size = np.abs(H)
         changes &= np.maximum(size[:, :-1], size[:, 1:]) > 1 / FARTHEST
     channel, k = np.nonzero(changes)
@@ -200,7 +200,7 @@ def _crossings(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, A
 
 
 def _peaks(point: _Point, w: Array, H: Complex, peak: Array, where: Array) -> tuple[Array, Array]:
-    """The largest |S| of each channel on w, zoomed in at its three highest places, if higher than before."""
+    """The largest |S| of each channel on w, refined at its three highest frequencies, where it exceeds ``peak``."""
     size = np.abs(1 + H)
     low, high = np.pad(size, ((0, 0), (1, 0)))[:, :-1], np.pad(size, ((0, 0), (0, 1)))[:, 1:]
     k = np.argsort(np.where((size >= low) & (size >= high), -size, 0.0), axis=1)[:, :3]
@@ -232,7 +232,7 @@ def _joined(parts: list[tuple[Ints, Array, Complex]]) -> Crossings:
 
 
 def _needed(point: _Point, high: float, increase: Array) -> float:
-    """[rad/s] up to which a crossing could still bind: |L| >= 1, or a gain below the increase found so far."""
+    """[rad/s] up to which a crossing could limit a margin: |L| >= 1, or a gain below the increase found so far."""
     w = np.geomspace(high, 64 * high, 100)
     H = point.H(w)
     with np.errstate(divide="ignore", invalid="ignore"):

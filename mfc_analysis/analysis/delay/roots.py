@@ -1,6 +1,6 @@
-"""Roots of a loop with dead time: exact, infinitely many, the rightmost ones wanted.
+"""The rightmost characteristic roots of a loop with dead time, exact. There are infinitely many roots.
 
-Only the delayed wires are transported. With the others closed,
+Only the delayed wires stay cut. With the others closed,
 
     x' = A x + B w_in,   w_out = C x + D w_in,   w_in,j(t) = w_out,j(t - T_j),
 
@@ -9,7 +9,7 @@ gives a matrix whose rightmost eigenvalues have nearly all digits; Newton on the
 
 Sources: Breda, Maset, Vermiglio, "Pseudospectral differencing methods for characteristic roots of delay differential
 equations", SIAM J. Sci. Comput. 27 (2005), 482-495 (the collocation); Trefethen, Spectral Methods in MATLAB, ch. 6 (its
-matrix); Ruhe, "Algorithms for the nonlinear eigenvalue problem", SIAM J. Numer. Anal. 10 (1973), 674-689 (copies of a root).
+matrix); Ruhe, "Algorithms for the nonlinear eigenvalue problem", SIAM J. Numer. Anal. 10 (1973), 674-689 (multiple roots).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mfc_analysis.analysis.zero_roots import without_decoupled_zeros
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
-MOST_NODES = 200  #: of one wire
+MOST_NODES = 200  #: for one wire
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ class Delayed:
     C: Array  #: (nd, nx)
     D: Array  #: (nd, nd)
     T: Array  #: (nd,) [s] > 0
-    zeros: int  #: roots at zero that the delayed wires drive and see
-    apart: int = 0  #: other roots at zero, already taken out
+    zeros: int  #: roots at zero that are controllable and observable from the delayed wires
+    apart: int = 0  #: other roots at zero, already removed
 
 
 def delayed_points(system: OpenSystem) -> list[Delayed]:
@@ -60,11 +60,11 @@ def delayed_points(system: OpenSystem) -> list[Delayed]:
 def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
     """The (m, count) rightmost characteristic roots [rad/s] of the closed loop with its dead time, rightmost first.
 
-    Roots at zero are exact zeros. Where there are fewer roots (dead time outside every loop) the rest is -inf.
+    Roots at zero are exact zeros. Where there are fewer roots (dead time outside every loop) the others are -inf.
     Raises ``Unsupported`` for a sampled loop, whose dead time is in its poles, and ``BadArgument``.
     """
     if system.dt:
-        raise Unsupported("delay_roots", "a sampled loop", "a continuous one: the poles in z of a sampled loop have its dead time inside")
+        raise Unsupported("delay_roots", "a sampled loop", "a continuous one: the poles in z of a sampled loop include its dead time")
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise BadArgument("count", count, "a whole number >= 1")
     out = np.full((len(system.A), count), -np.inf, np.complex128)
@@ -81,10 +81,10 @@ def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
 
 
 def delay_stable(system: OpenSystem) -> Bools:
-    """(m,) whether every characteristic root that is not at zero lies to the left, dead time exact."""
+    """(m,) whether every characteristic root that is not at zero lies in the left half plane, dead time exact."""
     verdict = np.zeros(len(system.A), bool)
     for i, point in enumerate(delayed_points(system)):
-        if point.D.any() and _radius(np.abs(point.D)) >= 1:  # a chain of roots to the right, without end
+        if point.D.any() and _radius(np.abs(point.D)) >= 1:  # an infinite chain of roots in the right half plane
             continue
         roots = rightmost(point, 2)
         fastest = np.array(np.abs(np.linalg.eigvals(point.A)).max(initial=0.0))
@@ -93,9 +93,9 @@ def delay_stable(system: OpenSystem) -> Bools:
 
 
 def rightmost(point: Delayed, count: int) -> Complex:
-    """At least ``count`` rightmost roots that are not at zero, if there are so many; rightmost first."""
+    """At least ``count`` rightmost roots that are not at zero, if that many exist; rightmost first."""
     reach = _reach(point)
-    if not reach:  # no dead time is inside a loop
+    if not reach:  # no dead time lies in a loop
         roots = np.linalg.eigvals(point.A).astype(np.complex128)
         return _ordered(roots[np.argsort(np.abs(roots), kind="stable")[point.zeros :]])[: max(count, 2)]
     more, found_before = 0, -1
@@ -111,7 +111,7 @@ def rightmost(point: Delayed, count: int) -> Complex:
 
 
 def _reach(point: Delayed) -> float:
-    """[rad/s] above which no delayed wire can sustain anything: the Perron root of |G(jw)| stays below one. 0: there is no loop."""
+    """[rad/s] frequency above which no delayed loop can oscillate: the Perron root of |G(jw)| stays below one. 0: there is no loop."""
     if not len(point.A) and not point.D.any():
         return 0.0
     size = np.abs(np.linalg.eigvals(point.A + point.B @ np.linalg.solve(np.eye(len(point.T)) - point.D, point.C)))
@@ -127,7 +127,7 @@ def _reach(point: Delayed) -> float:
 
 
 def _perron(G: Array) -> Array:
-    """Upper bounds (k,) of the spectral radii of nonnegative G (k, n, n), near after a few powers: Collatz and Wielandt's quotients."""
+    """Upper bounds (k,) of the spectral radii of nonnegative G (k, n, n), close after a few powers: Collatz-Wielandt quotients."""
     x = np.ones((*G.shape[:2], 1))
     bound = np.full(len(G), np.inf)
     for _ in range(12):
@@ -152,11 +152,11 @@ def differentiation(n: int) -> Array:
 
 
 def _collocated(point: Delayed, nodes: Ints) -> Complex:
-    """Eigenvalues of the loop with each wire's transport collocated, roots at zero taken out; rightmost first."""
+    """Eigenvalues of the loop with each wire's transport collocated, without roots at zero; rightmost first."""
     nx, nd = len(point.A), len(point.T)
     start = nx + np.concatenate([[0], np.cumsum(nodes)])
     big = np.zeros((start[-1], start[-1]))
-    arrives = start[1:] - 1  # the last node of each wire: what comes out after the dead time
+    arrives = start[1:] - 1  # the last node of each wire: the signal after the dead time
     big[:nx, :nx] = point.A
     big[:nx, arrives] = point.B
     for j in range(nd):
@@ -170,16 +170,16 @@ def _collocated(point: Delayed, nodes: Ints) -> Complex:
 
 
 def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:
-    """Newton on the determinant; roots that settle nearby, and how many settled before the first that didn't.
+    """Newton on the determinant: roots that converge nearby, and how many converge before the first that does not.
 
-    A root with others as near as their rounding is one of several copies, polished together.
+    Roots that agree to rounding are copies of a multiple root and are polished together.
     """
     size = np.abs(roots) + 1e-3 / point.T.max()
     apart = np.abs(roots[:, None] - roots[None, :]) + np.where(np.eye(roots.size, dtype=bool), np.inf, 0.0)
     single = apart.min(axis=1, initial=np.inf) > 1e-3 * size
     s, settled = roots.copy(), ~single
     copies = np.flatnonzero(settled)
-    if copies.size:  # those of the transport alone, which are no roots, are far from a zero of the determinant
+    if copies.size:  # eigenvalues of the transport alone are not roots: they are far from a zero of the determinant
         s[copies[~(np.abs(_newton(point, s[copies])) < 1e-4 * size[copies])]] = np.nan
         _polish_copies(point, s, copies[np.isfinite(s[copies])], size)
     for _ in range(12):
@@ -199,7 +199,7 @@ def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:
 
 
 def _polish_copies(point: Delayed, s: Complex, copies: Ints, size: Array) -> None:
-    """Moves clusters of roots, in place: successive linear problems M(c) x = -d M'(c) x about their middle c, all copies at once (Ruhe 1973)."""
+    """Polishes clusters of roots in place: successive linear problems M(c) x = -d M'(c) x about their mean c, all copies at once (Ruhe 1973)."""
     left = list(copies)
     while left:
         first = left[0]
@@ -220,7 +220,7 @@ def _polish_copies(point: Delayed, s: Complex, copies: Ints, size: Array) -> Non
 
 
 def _newton(point: Delayed, s: Complex) -> Complex:
-    """Newton's steps -1 / trace(M^-1 M') at s (k,), M the characteristic matrix."""
+    """Newton steps -1 / trace(M^-1 M') at s (k,), with the characteristic matrix M."""
     M, slope = _characteristic(point, s)
     try:
         quotient = np.linalg.solve(M, slope)
@@ -246,7 +246,7 @@ def _characteristic(point: Delayed, s: Complex) -> tuple[Complex, Complex]:
 
 
 def _ordered(roots: Complex) -> Complex:
-    """Rightmost first, copies up to rounding together; of a pair the one above the axis first."""
+    """Rightmost first, with copies (equal up to rounding) together; of a pair, the one with positive imaginary part first."""
     unit = 1e-9 * (np.abs(roots[np.isfinite(roots)]).max(initial=0.0) or 1.0)
     real, above = np.round(roots.real / unit), np.round(np.abs(roots.imag) / unit)
     return np.asarray(roots[np.lexsort((-roots.imag, above, -real))])

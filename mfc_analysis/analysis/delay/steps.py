@@ -1,9 +1,9 @@
 """Step responses of loops with dead time by the method of steps.
 
-Between grid points what arrives behind each cut is a cubic (value and slope at both ends, from one dead time ago), and the
-states answer it exactly by a matrix exponential. The grid divides the shortest dead time, so the kinks that a step leaves
-behind at its multiples lie on the grid; the error falls with the fourth power of the grid, which is at most a twentieth of
-the fastest time constant (no finer than 1/60 of the shortest dead time).
+Between grid points the signal after each cut is a cubic (value and slope at both ends, from one dead time ago), and a matrix
+exponential gives the states exactly. The grid divides the shortest dead time, so that the kinks of the response at its
+multiples lie on the grid. The error falls with the fourth power of the grid step, which is at most a twentieth of the
+fastest time constant (no finer than 1/60 of the shortest dead time).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MOST_STEPS = 1_000_000
 
 
 def delayed_runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], Run]:
-    """The run (duration, samples) of a unit step of input number ``into`` at output number ``out``, of a system with one point."""
+    """The run (duration, samples) of a unit step from input number ``into`` to output number ``out``, for a system with one point."""
     late = system.wire_delay > 0
     A, B, C, D = (x[0] for x in close_wires(system, keep=late))
     T = system.wire_delay[late]
@@ -45,9 +45,9 @@ def delayed_runner(system: OpenSystem, into: int, out: int) -> Callable[[float, 
 
 
 def _one_step(A: Array, B: Array, C: Array, D: Array, h: float) -> Array:
-    """What is known at the start of a step, [x; v0, v0', v1, v1' of each wire; u], to [x at its end; w0, w0', w1, w1' of each output].
+    """Matrix from the start of a step, [x; v0, v0', v1, v1' of each wire; u], to [x at its end; w0, w0', w1, w1' of each output].
 
-    B, D: columns of the delayed wires and of u last; C, D: rows of what leaves towards the wires, and y last.
+    B, D: columns of the delayed wires, then u; C, D: rows of the signals into the wires, then y.
     """
     from scipy.linalg import expm
 
@@ -99,7 +99,7 @@ def _marched(table: Array, nx: int, T: Array, h: float, steps: int) -> Array:
 
 
 def _shifted(f: float, h: float) -> tuple[Array, Array]:
-    """Ends of a step that begins a fraction f into one step and ends as far into the next: from the ends of both."""
+    """End values of a step that begins a fraction f into one step and ends the same fraction into the next, from the end values of both."""
     if f == 0:
         return np.eye(4), np.zeros((4, 4))
     value = np.array([1 - 3 * f**2 + 2 * f**3, h * (f - 2 * f**2 + f**3), 3 * f**2 - 2 * f**3, h * (f**3 - f**2)])

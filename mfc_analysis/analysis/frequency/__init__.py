@@ -1,1 +1,1 @@
-"""Over frequency: responses, crossings, peaks."""
+"""Frequency responses, crossings and peaks."""

@@ -1,17 +1,17 @@
-"""Where the loops cross: every frequency at which |L_i| = 1, and every one at which L_i is real.
+"""Crossings of the loops: every frequency at which |L_i| = 1, and every frequency at which L_i is real.
 
 With S_i = d + c (sI - A)^-1 b, on s = jw
 
     Re S_i = d - c (A^2 + w^2)^-1 A b          |L_i| = 1  is  Re S_i = 1/2
     Im S_i = -w c (A^2 + w^2)^-1 b             L_i real   is  Im S_i = 0
 
-so that w^2 are eigenvalues of a matrix of the size of A: of A^2 - A b c / (d - 1/2), negated, and the zeros of (A^2, b, c).
-Both are found shifted and inverted about one w0, from one complex inverse Z = (A - j w0)^-1 of each point: with
+so that -w^2 are eigenvalues of a matrix of the size of A: those of A^2 - A b c / (d - 1/2), and the zeros of (A^2, b, c).
+Both come from shift and invert about one w0, with one complex inverse Z = (A - j w0)^-1 of each point: with
 G = (A^2 + w0^2)^-1 = Im Z / w0 and A G = Re Z, the numbers 1 / (w0^2 - w^2) are the eigenvalues of
 
     G + (A G b)(c G) / (d - 1/2 - c A G b)     and     G - (G b)(c G) / (c G b).
 
-A is never squared, c b = 0 does no harm (zeros at infinity become eigenvalues 0), and no eigenvector is used.
+A is never squared, c b = 0 is allowed (zeros at infinity become eigenvalues 0), and no eigenvector is used.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """k crossings of any points and channels, polished."""
+    """k polished crossings, each with its point and channel."""
 
     point: Ints  #: (k,)
     channel: Ints  #: (k,)
@@ -45,10 +45,10 @@ class Crossings:
 def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossings]:
     """All gain crossovers (|L| = 1) and all phase crossings (L real) at 0 < w < inf of every point and channel.
 
-    ``H``: (m, n, k) on the rising frequencies ``w`` (m, k) of interest: where modes are known, the crossovers are isolated
-    between them by ``exclusion``, which is cheaper than their eigenvalue problem; that one serves where exclusion gives up.
+    ``H``: (m, n, k) on the increasing frequencies ``w`` (m, k) of interest. Where modes are known, ``exclusion`` isolates the crossovers
+    between them; this is cheaper than the eigenvalue problem, which is used where exclusion stops early.
     """
-    left = np.ones(found.ch.H0.shape, bool)  # crossovers left to the eigenvalue problem
+    left = np.ones(found.ch.H0.shape, bool)  # channels for the eigenvalue problem
     parts: list[tuple[Ints, Ints, Array]] = []
     modal = np.asarray(np.flatnonzero(found.modal), np.int64)
     if modal.size:
@@ -65,7 +65,7 @@ def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossi
 
 
 def _squared_frequencies(ch: Channels, poles: Complex, with_gain: Bools) -> tuple[Complex, Complex]:
-    """w^2 (m, n, nx) of the gain crossovers, of the channels ``with_gain`` (m, n), and of the phase crossings; complex and infinite ones too."""
+    """w^2 (m, n, nx) of the gain crossovers (channels ``with_gain`` (m, n)) and of the phase crossings, complex and infinite ones included."""
     m, nx = ch.A.shape[:2]
     n = ch.B.shape[2]
     size = np.abs(poles)
@@ -92,7 +92,7 @@ def _nonzero(x: Array) -> Array:
 
 
 def _candidates(squared: Complex) -> tuple[Ints, Ints, Array]:
-    """Points, channels and w of the eigenvalues that are real and positive, up to the rounding of a double one."""
+    """Points, channels and w of the real positive eigenvalues, up to the rounding of a double eigenvalue."""
     with np.errstate(invalid="ignore"):
         real = (squared.real > 0) & (squared.imag >= 0) & (squared.imag <= 1e-5 * squared.real)
     point, channel, which = np.nonzero(real)
@@ -100,7 +100,7 @@ def _candidates(squared: Complex) -> tuple[Ints, Ints, Array]:
 
 
 def _polished(found: Resolvent, point: Ints, channel: Ints, w: Array, gain: bool) -> Crossings:
-    """Newton on Re H = -1/2 (``gain``) or Im H = 0; what does not settle nearby was not a crossing (a zero at infinity)."""
+    """Newton on Re H = -1/2 (``gain``) or Im H = 0; a candidate that does not converge nearby is no crossing (a zero at infinity)."""
     keep = np.ones(w.size, bool)
     start = w.copy()
     H, slope = found.at(point, channel, w)

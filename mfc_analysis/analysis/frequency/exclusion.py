@@ -1,11 +1,11 @@
-"""Gain crossovers by exclusion: cheaper than an eigenvalue problem for each channel, and as sure.
+"""Gain crossovers by exclusion: cheaper than an eigenvalue problem for each channel, and as reliable.
 
-Where H(jw) = H0 + sum r_k / (jw - s_k) is known by its modes, f(w) = Re H + 1/2 leaves the chord over [a, b] by at most
+Where H(jw) = H0 + sum r_k / (jw - s_k) is known by its modes, f(w) = Re H + 1/2 deviates from its chord over [a, b] by at most
 
     (b - a)^2 / 4 * sum |r_k| / d_k^3,       d_k: distance of s_k from the segment j[a, b],
 
-because |H''| <= 2 sum |r_k| / d_k^3. An interval whose ends have the same sign farther from zero than that holds no
-crossover; one whose chord is steeper than 2 (b - a) sum |r_k| / d_k^3 holds at most one. All others are halved.
+because |H''| <= 2 sum |r_k| / d_k^3. An interval holds no crossover if f has the same sign at both ends and is larger than this
+bound; it holds at most one if its chord is steeper than 2 (b - a) sum |r_k| / d_k^3. All others are halved.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from mfc_analysis.analysis.frequency.resolvent import Resolvent
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 HALVINGS = 40
-MOST = 60  #: open intervals of one channel, on average; beyond it is left to the eigenvalue problem
+MOST = 60  #: most open intervals of one channel, on average; above this the eigenvalue problem is used
 
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """k intervals of any points and channels, with f at their ends."""
+    """k intervals, each with its point, its channel and f at its ends."""
 
     point: Ints
     channel: Ints
@@ -37,9 +37,9 @@ class Intervals:
 
 
 def crossover_intervals(found: Resolvent, w: Array, H: Complex) -> tuple[Intervals, Bools]:
-    """Intervals with exactly one gain crossover each, and (m, n) where they are not all.
+    """Intervals with exactly one gain crossover each, and (m, n) where some crossovers are not found.
 
-    ``w``: (m, k) rising frequencies from 0, ``H``: (m, n, k) on them, of points that are all modal.
+    ``w``: (m, k) increasing frequencies from 0, ``H``: (m, n, k) at these, for points that are all modal.
     """
     f = H.real + 0.5
     weight = np.abs(found.residues)
@@ -88,7 +88,7 @@ def _halved(found: Resolvent, weight: Array, done: list[Intervals], todo: Interv
 
 
 def narrowed(found: Resolvent, some: Intervals) -> Array:
-    """The crossover (k,) [rad/s] in each interval, nearly: Newton, kept inside by bisection."""
+    """The approximate crossover (k,) [rad/s] in each interval: Newton safeguarded by bisection."""
     a, b = some.a, some.b
     rising = some.fb > some.fa
     x = a - some.fa * (b - a) / (some.fb - some.fa)
@@ -127,7 +127,7 @@ def _steep(some: Intervals, bend: Array) -> Bools:
 
 
 def _far_end(found: Resolvent, last: Array, weight: Array) -> tuple[Array, Bools]:
-    """(m, n) [rad/s] beyond which f keeps the sign of its limit, and where that limit is zero."""
+    """(m, n) [rad/s] above which f keeps the sign of its limit, and (m, n) where that limit is zero."""
     limit = np.abs(found.ch.H0 + 0.5)
     total = weight.sum(axis=2)
     infinite = limit < 1e-9

@@ -1,7 +1,7 @@
 """The sensitivity peak: the supremum of |S_i| over all frequencies, zero and infinity included.
 
-S_i has the poles of the closed loop, so between frequencies placed by these poles, a fraction of their damping apart, it is
-smooth; the highest ones found there are climbed to the top.
+S_i has the poles of the closed loop. It is smooth between frequencies placed by these poles, a fraction of their damping apart.
+The highest values on this grid are refined to the peak.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ import numpy as np
 from mfc_analysis.analysis.frequency.resolvent import Resolvent
 from mfc_analysis.maths.arrays import Array, Complex, Ints
 
-AT = np.array([-2.5, -1.0, 0.0, 1.0, 2.5])  #: places around a pole, in units of its decay rate,
-BETWEEN = np.array([-6.0, -0.4, 0.4, 6.0])  #: and more of them around its conjugate
-BESIDE = np.array([0.3, 0.6, 1.0, 1.7, 3.5])  #: places around a real pole, in units of its modulus
-LADDER = 20  #: frequencies spread evenly in the logarithm from the slowest to the fastest pole
-CLIMBED = 3  #: local maxima climbed in each channel,
-NEAR = 0.7  #: if they are at least this part of the highest
+AT = np.array([-2.5, -1.0, 0.0, 1.0, 2.5])  #: frequencies around a pole, in units of its decay rate,
+BETWEEN = np.array([-6.0, -0.4, 0.4, 6.0])  #: and further ones around its conjugate
+BESIDE = np.array([0.3, 0.6, 1.0, 1.7, 3.5])  #: frequencies around a real pole, in units of its modulus
+LADDER = 20  #: frequencies with logarithmic spacing from the slowest to the fastest pole
+CLIMBED = 3  #: local maxima refined in each channel,
+NEAR = 0.7  #: if they are at least this fraction of the highest
 
 
 def frequencies_of_interest(poles: Complex) -> Array:
-    """(m, k) rising positive frequencies [rad/s] that resolve every resonance of the poles (m, nx)."""
+    """(m, k) increasing positive frequencies [rad/s] that resolve every resonance of the poles (m, nx)."""
     size = np.abs(poles)
     top = size.max(axis=1, keepdims=True)
     size = np.where(size > 1e-9 * top, size, top)
@@ -34,9 +34,9 @@ def frequencies_of_interest(poles: Complex) -> Array:
 
 
 def thinned(w: Array, poles: Complex) -> Array:
-    """Fewer of the rising frequencies w (m, k): about one in each 0.3 of the distance to the nearest pole (m, nx). The last is repeated.
+    """Fewer of the increasing frequencies w (m, k): about one per 0.3 of the distance to the nearest pole (m, nx). The last is repeated.
 
-    Where many poles lie on one spot most of the frequencies of interest are nearly the same.
+    Where many poles coincide most of the frequencies of interest are nearly equal.
     """
     distance = np.abs(1j * w[:, :, None] - poles[:, None, :]).min(axis=2)
     cell = np.floor(np.cumsum(np.diff(w, axis=1) / (0.3 * distance[:, :-1]), axis=1))
@@ -48,20 +48,20 @@ def thinned(w: Array, poles: Complex) -> Array:
 def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: Complex) -> tuple[Array, Array]:
     """Largest |S_i| (m, n) and its frequency (m, n) [rad/s], 0 and inf included.
 
-    ``at_zero``: S_i(0) - 1 (m, n), NaN: not looked at; ``H``: S_i - 1 (m, n, k) on frequencies of interest ``w`` (m, k).
+    ``at_zero``: S_i(0) - 1 (m, n), NaN: not used; ``H``: S_i - 1 (m, n, k) at frequencies of interest ``w`` (m, k).
     """
     size = np.abs(1 + H)
     ends = np.stack([np.abs(1 + at_zero), np.abs(1 + found.ch.H0)])
     low, high = np.pad(size, ((0, 0), (0, 0), (1, 0)))[..., :-1], np.pad(size, ((0, 0), (0, 0), (0, 1)))[..., 1:]
     top = (size >= low) & (size >= high)
-    top &= ((w > w[:, :1]) & (w < w[:, -1:]))[:, None]  # a hundred times slower or faster than every pole: the ends' own
+    top &= ((w > w[:, :1]) & (w < w[:, -1:]))[:, None]  # the ends are a hundred times slower or faster than every pole
     best = np.maximum(size.max(axis=2), np.where(np.isnan(ends), 0.0, ends).max(axis=0))
     top &= size > NEAR * best[..., None]
     ranked = np.argsort(np.where(top, -size, 0.0), axis=2)[..., :CLIMBED]
     point, channel, rank = np.nonzero(np.take_along_axis(top, ranked, 2))
     value, where = _climbed(found, w, point, channel, ranked[point, channel, rank])
     peak, at = np.zeros(best.shape), np.full(best.shape, np.inf)
-    order = np.argsort(value, kind="stable")  # of several the last written, the highest, stays
+    order = np.argsort(value, kind="stable")  # of several values the last one written, the highest, stays
     peak[point[order], channel[order]], at[point[order], channel[order]] = value[order], where[order]
     for end, frequency in zip(ends, (0.0, np.inf), strict=True):
         better = end >= peak * (1 - 1e-12)
@@ -70,7 +70,7 @@ def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: Complex) -> 
 
 
 def _climbed(found: Resolvent, w: Array, point: Ints, channel: Ints, k: Ints) -> tuple[Array, Array]:
-    """Top of |S| between the neighbours of w[point, k]: bisection on the sign of d|S|^2/dw, safeguarding secant steps."""
+    """Peak of |S| between the neighbours of w[point, k]: secant steps on d|S|^2/dw, safeguarded by bisection on its sign."""
     last = w.shape[1] - 1
     a, b = w[point, np.maximum(k - 1, 0)], w[point, np.minimum(k + 1, last)]
     x = w[point, k]

@@ -1,6 +1,6 @@
-"""S_i(jw) - 1 and its slope at many frequencies of many channels: by modes where these are well conditioned, else by solving.
+"""S_i(jw) - 1 and its slope at many frequencies and channels: by modes where these are well conditioned, else by linear solves.
 
-A perfect model puts all poles on one spot; its eigenvectors are worthless (condition 1e14) and the modes are not used.
+With a perfect model all poles coincide; the eigenvectors are ill conditioned (1e14) and the modes are not used.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import numpy as np
 from mfc_analysis.analysis.channels import Channels
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
-CONDITION = 1e5  #: largest condition number of the eigenvectors with which modes are used: ten digits are left
+CONDITION = 1e5  #: largest condition number of the eigenvectors with which modes are used: ten digits remain
 CHUNK = 4_000_000  #: complex numbers solved for at a time
 
 
 @dataclass(frozen=True, eq=False)
 class Resolvent:
-    """H_i(jw) = S_i(jw) - 1 = H0_i + c_i (jwI - A)^-1 b_i of channels (m points, n channels), ready to be evaluated."""
+    """H_i(jw) = S_i(jw) - 1 = H0_i + c_i (jwI - A)^-1 b_i of m points and n channels, ready for evaluation."""
 
     ch: Channels
     poles: Complex  #: (m, nx)
-    residues: Complex  #: (m, n, nx) meaningless where not ``modal``
+    residues: Complex  #: (m, n, nx) not defined where not ``modal``
     modal: Bools  #: (m,)
 
     def at(self, point: Ints, channel: Ints, w: Array) -> tuple[Complex, Complex]:
@@ -36,7 +36,7 @@ class Resolvent:
         return H, slope
 
     def on(self, w: Array) -> Complex:
-        """H (m, n, k) of all channels on frequencies w (m, k) [rad/s] of each point."""
+        """H (m, n, k) of all channels at frequencies w (m, k) [rad/s] of each point."""
         H = np.empty((*self.ch.H0.shape, w.shape[1]), np.complex128)
         if self.modal.any():
             gap = 1 / (1j * w[self.modal, None, :] - self.poles[self.modal, :, None])
@@ -72,7 +72,7 @@ class Resolvent:
 
 
 def resolvent(ch: Channels, modes: tuple[Complex, Complex] | None = None) -> Resolvent:
-    """Modes of the channels' common A, and at which points they can be trusted. ``modes``: eigenvalues and vectors where they are known."""
+    """Modes of the channels' common A, and the points where they are well conditioned. ``modes``: eigenvalues and vectors, if already known."""
     found = np.linalg.eig(ch.A) if modes is None else modes
     poles, V = np.asarray(found[0], np.complex128), np.asarray(found[1], np.complex128)
     try:
@@ -87,7 +87,7 @@ def resolvent(ch: Channels, modes: tuple[Complex, Complex] | None = None) -> Res
 
 
 def _condition(V: Complex, inverse: Complex) -> Array:
-    """(m,) condition numbers of V with rows, then columns, scaled to one: units of the states don't count. NaN counts as large."""
+    """(m,) condition numbers of V with rows, then columns, scaled to one, so that the units of the states have no effect. NaN counts as large."""
     size, back = np.abs(V), np.abs(inverse)
     rows = np.sqrt((size * size).sum(axis=2))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

@@ -1,10 +1,10 @@
-"""Frequency responses of the loops, exact: every frequency is solved for, dead time is e^(-jwT), nothing is fitted.
+"""Exact frequency responses of the loops: a linear solve at every frequency, with dead time as e^(-jwT).
 
-The wires are cut all at once: w_out = G(s) w_in, G = C2 (sI - A)^-1 B2 + D22 of the open system. Closing all but one,
+With all wires cut, w_out = G(s) w_in, G = C2 (sI - A)^-1 B2 + D22 of the open system. With all but one closed,
 
     -L_i = e_i (G_ii + G_io E_o (I - G_oo E_o)^-1 G_oi),        E = diag(e^(-s T)),
 
-which keeps its digits where |L_i| is large and never needs an eigenvector.
+which is accurate where |L_i| is large and needs no eigenvectors.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CHUNK = 2_000_000  #: complex numbers solved for at a time
 def frequency_response(system: OpenSystem, frequencies: ArrayLike, at: str) -> Complex:
     """L_i(jw), (m, n, nf) complex, of each channel of the point ``at``, the others closed, dead time included.
 
-    ``frequencies``: (nf,) [rad/s], not negative; up to pi/dt of a sampled loop, where L_i(e^(jw dt)) is given. Infinite on a pole of L_i.
+    ``frequencies``: (nf,) [rad/s], not negative; up to pi/dt of a sampled loop, where L_i(e^(jw dt)) is returned. Infinite on a pole of L_i.
     Raises ``UnknownPoint`` and ``BadArgument``.
     """
     wires = point_wires(system, at)
@@ -45,7 +45,7 @@ def frequency_response(system: OpenSystem, frequencies: ArrayLike, at: str) -> C
 
 
 def wire_response(system: OpenSystem, index: int, s: Complex) -> Complex:
-    """G (nf, nw, nw), from behind each cut to each cut, all wires cut, at s (nf,); infinite on a pole."""
+    """G (nf, nw, nw) from after each cut to before each cut, all wires cut, at s (nf,); infinite on a pole."""
     A, B, C, D = system.A[index], system.B[index][:, system.nu :], system.C[index][system.ny :], system.D[index][system.ny :, system.nu :]
     nx = system.nx
     G = np.empty((s.size, *D.shape), np.complex128)

@@ -1,7 +1,7 @@
 """The matrix sensitivity S = (I + L)^-1 of several channels at once, over frequency, dead time exact.
 
-Every wire is closed and a signal r is added behind each wire of the analysis point; what goes on there is S r, and T = I - S.
-At "position" the rate carries jw r as well. One analysis point or several together (loop input and output at once).
+Every wire is closed and a signal r is added after each wire of the analysis point; the signal after the sum is S r, and T = I - S.
+At "position" the rate also carries jw r. Takes one analysis point, or several together (loop input and output at once).
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from mfc_analysis.maths.arrays import Array, Complex, Ints
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """Which wires of a system carry the k channels of one or several analysis points."""
+    """The wires of a system that carry the k channels of one or several analysis points."""
 
     system: OpenSystem
     points: tuple[str, ...]
     names: tuple[str, ...]  #: (k,) "joint" or, with several points, "point joint"
     wires: Ints  #: (k,) among the nw
-    rates: Ints  #: (k,) the rate wire behind a position wire, else -1
+    rates: Ints  #: (k,) the rate wire of a position wire, else -1
 
 
 def opened(system: OpenSystem, at: str | Sequence[str]) -> Opened:
-    """The channels of ``at``: a point, or several together. Raises ``UnknownPoint`` and, for none or a repeated one, ``BadArgument``."""
+    """The channels of ``at``: a point, or several together. Raises ``UnknownPoint`` and, for no point or a repeated one, ``BadArgument``."""
     points = (at,) if isinstance(at, str) else tuple(at)
     if not points or len(set(points)) < len(points):
         raise BadArgument("at", at, "an analysis point, or several different ones")
@@ -46,7 +46,7 @@ def opened(system: OpenSystem, at: str | Sequence[str]) -> Opened:
 
 
 def sensitivity(channels: Opened, index: int, frequencies: Array) -> Complex:
-    """S at one point of the path, (nf, k, k), at frequencies (nf,) [rad/s]; of a sampled loop below pi / dt."""
+    """S (nf, k, k) at one operating point, at frequencies (nf,) [rad/s]; below pi / dt for a sampled loop."""
     system = channels.system
     nu, ny, nw = system.nu, system.ny, system.nw
     A, B, C, D = system.A[index], system.B[index, :, nu:], system.C[index, ny:], system.D[index, ny:, nu:]
@@ -65,7 +65,7 @@ def sensitivity(channels: Opened, index: int, frequencies: Array) -> Complex:
 
 
 def sensitivity_at_infinity(channels: Opened, index: int) -> Complex:
-    """S at infinite frequency, (k, k), where dead time has let nothing through; of a sampled loop at its Nyquist frequency."""
+    """S (k, k) at infinite frequency, where delayed wires pass no signal; at the Nyquist frequency for a sampled loop."""
     system = channels.system
     if system.dt:
         return np.asarray(sensitivity(channels, index, np.array([np.pi / system.dt]))[0])
@@ -80,7 +80,7 @@ def sensitivity_at_infinity(channels: Opened, index: int) -> Complex:
 
 
 def _response(A: Array, B: Array, C: Array, s: Complex) -> Complex:
-    """C (sI - A)^-1 B for each s, by modes where these are well conditioned, else by solving."""
+    """C (sI - A)^-1 B for each s, by modes where these are well conditioned, else by linear solves."""
     poles, V = np.linalg.eig(A)
     if np.linalg.cond(V) < CONDITION:
         residues = (C @ V).T[:, :, None] * np.linalg.solve(V, B.astype(complex))[:, None, :]
@@ -90,7 +90,7 @@ def _response(A: Array, B: Array, C: Array, s: Complex) -> Complex:
 
 
 def _delayed(A: Array, B: Array, C: Array, D: Array, delay: Array, w: Array, into: Ints, out: Ints) -> Complex:
-    """Response (nf, out, into) with every wire closed through its dead time: input behind the cut, output what goes on there."""
+    """Response (nf, out, into) with every wire closed through its dead time: input and output after the cut."""
     E = np.exp(-1j * w[:, None] * delay)[:, :, None]
     through = np.linalg.inv(np.eye(len(delay)) - E * D)
     force = B @ through
