@@ -1,4 +1,4 @@
-"""The loop linearised exactly, at many times at once."""
+"""Exact linearisation of the loop, at many times at once."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-r"""How the motion and force halves of a hybrid loop (equation 9.24) act on one another: leak of the projection, coupling of the closed loop."""
+r"""Interaction of the motion and force parts of a hybrid loop (equation 9.24): leak of the projection, coupling of the closed loop."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 
 def leak(rows: ArrayLike | constraints.ConstraintSet, Lambda: ArrayLike, projection: Literal["dynamic", "selection"] = "dynamic") -> Array:
-    r"""What of an acceleration commanded across the constraint comes out along the free directions, (..., 6, k).
+    r"""Acceleration along the free directions that results from an acceleration command along the constraint rows, (..., 6, k).
 
-    9.24 projects the wrench, not X_e: a command c across the constraint leaves the projection as the wrench P Lambda c, and the tool
-    accelerates by Lambda^{-1} P Lambda c. Column i is that for c = A_i, row i of A, less its own part along the rows. 0: no leak.
+    9.24 projects the wrench, not X_e: a command c along the rows gives the projected wrench P Lambda c, and the tool accelerates by
+    Lambda^{-1} P Lambda c. Column i is this acceleration for c = A_i, row i of A, minus its part along the rows. 0: no leak.
 
     Args:
         rows: (k, 6) orthonormal rows A with A V_b = 0, or a ``ConstraintSet``. Lambda: (..., 6, 6) task inertia. projection: as in 9.24.
 
-    At rest under the dynamic projection X_e along the free directions is minus the leak times X_e along the rows, for a scalar Kp.
+    At rest under the dynamic projection, with a scalar Kp, X_e along the free directions is minus the leak times X_e along the rows.
     Raises BadArgument.
     """
     checks.choice("projection", projection, ("dynamic", "selection"))
@@ -41,7 +41,7 @@ def leak(rows: ArrayLike | constraints.ConstraintSet, Lambda: ArrayLike, project
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """Transfer between two groups of a closed loop's signals over frequency, dead time left out."""
+    """Transfer gain between two groups of signals of a closed loop over frequency, dead time left out."""
 
     frequencies: Array  #: (nf,) [rad/s]
     inputs: tuple[str, ...]
@@ -59,7 +59,7 @@ def coupling(lin: Linearization, inputs: tuple[str, ...], outputs: tuple[str, ..
 
     Args:
         inputs, outputs: names of ``lin.input_names`` and ``lin.output_names``, e.g. ("F_d_fz",) and ("X_e_vx", "X_e_vy").
-        frequencies: (nf,) [rad/s], not 0 where the loop has roots at zero.
+        frequencies: (nf,) [rad/s], nonzero where the loop has roots at zero.
 
     Raises UnknownName, and BadArgument for frequencies that are not a list of numbers or a sampled loop.
     """

@@ -1,4 +1,4 @@
-"""The same gains on the diagonal of M: what an independent-joint design believes (beside what really happens, on the whole of M)."""
+"""The same gains on the diagonal of M: the model of an independent-joint design, to compare with the loop on the full M."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Decentralised:
-    """n separate loops at m times, k states each: M_jj q'' + b_j q' + (dg/dq)_jj q = tau under the law's own diagonal."""
+    """n separate loops at m times, k states each: M_jj q'' + b_j q' + (dg/dq)_jj q = tau under the diagonal of the law."""
 
     times: Array  #: (m,) [s]
     joints: tuple[str, ...]  #: n
@@ -44,13 +44,13 @@ class Decentralised:
 
     @property
     def stable(self) -> Bools:
-        """(m, n) every root of a joint alone decays, those of integrals that act on nothing left out."""
+        """(m, n) True where every root of a joint alone is stable, without integrals that act on nothing."""
         from mfc_analysis.analysis.stability import stability
 
         return np.asarray(stability(self._alone()).stable.reshape(self.b.shape[:2]))
 
     def _alone(self) -> OpenSystem:
-        """The joints' own loops as m n systems of one wire each."""
+        """The loops of the joints as m n systems with one wire each."""
         m, n, k = self.b.shape
         b, c = self.b.reshape(m * n, k, 1), self.c.reshape(m * n, 1, k)
         return OpenSystem(
@@ -70,7 +70,7 @@ class Decentralised:
         )
 
     def margins(self) -> Margins:
-        """Margins (m, n) of each joint's own loop at its torque (velocity) command; dead time left out. NaN where that joint alone is unstable."""
+        """Margins (m, n) of each joint loop at its torque (velocity) command; dead time left out. NaN where that joint alone is unstable."""
         from mfc_analysis.analysis.margins import margins
 
         m, n, _ = self.b.shape
@@ -86,7 +86,7 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
     """The loop joint by joint. Raises Unsupported for tool and force laws, sampled loops, and an n x n outer loop."""
     law, n = equations.law, equations.n
     if law.space == "tool" or not law.follows_motion or equations.sample_time or law.needs_acceleration:
-        raise Unsupported("decentralised", type(law).__name__, "a joint-space law in continuous time: a loop for each joint")
+        raise Unsupported("decentralised", type(law).__name__, "a joint-space law in continuous time, with one loop per joint")
     system = open_system(equations, point.times, point.x)
     m = len(point.times)
     picks: list[Array] = []

@@ -1,4 +1,4 @@
-"""The loop linearised at all times at once: what a user asks of it, each a line or two that call down into ``analysis``."""
+"""The loop linearised at all times at once. Its methods call the functions of ``analysis``."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ About = Literal["reference", "equilibrium", "simulation"]
 class Linearization:
     """A closed loop linearised exactly at m operating points; nx states, in deviations from them.
 
-    A, B, C, D, ``poles``, ``system`` and ``loop`` leave dead time out (``delay``, ``force_delay`` [s] say how much);
-    ``stable``, margins, frequency responses and ``delay_roots`` are exact. With a sample time everything is discrete
-    (``dt`` > 0, poles in z) and dead time is inside.
+    A, B, C, D, ``poles``, ``system`` and ``loop`` leave out the dead time (``delay``, ``force_delay`` [s]); ``stable``, margins,
+    frequency responses and ``delay_roots`` include it exactly. With a sample time all models are discrete (``dt`` > 0, poles in z)
+    and include the dead time.
     """
 
     equations: Equations
     point: OperatingPoint
     coordinates: Coordinates
     about: About
-    run: Simulation | None = None  #: what ``about="simulation"`` follows
+    run: Simulation | None = None  #: the run that ``about="simulation"`` follows
 
     def again(self, times: Array) -> Linearization:
         """The same loop, operating points and coordinates at other times (m,) [s]."""
@@ -61,7 +61,7 @@ class Linearization:
 
     @cached_property
     def residual(self) -> Array:
-        """(m, n) acceleration [rad/s^2] (velocity plants: velocity [rad/s]) left over at the operating points; 0 at an equilibrium."""
+        """(m, n) residual acceleration [rad/s^2] (velocity plants: velocity [rad/s]) at the operating points; 0 at an equilibrium."""
         if self.point.residual is not None:
             return self.point.residual
         return residual(self.equations, self.times, self.point.x, nominal(self.equations, self.times))
@@ -73,7 +73,7 @@ class Linearization:
 
     @property
     def delay(self) -> float:
-        """Dead time [s] of the actuators that A, poles, system and loop leave out (0 in a sampled loop: it is inside)."""
+        """Dead time [s] of the actuators that A, poles, system and loop leave out (0 in a sampled loop, which includes it)."""
         return 0.0 if self.dt else float(self.equations.hardware.delay or 0.0)
 
     @property
@@ -90,12 +90,12 @@ class Linearization:
 
     @property
     def B(self) -> Array:
-        """(m, nx, nu): from reference, disturbance at the joints, F_d."""
+        """(m, nx, nu) from reference, disturbance at the joints, F_d."""
         return self._closed[1]
 
     @property
     def C(self) -> Array:
-        """(m, ny, nx): to q, error, commanded torque, F_tip."""
+        """(m, ny, nx) to q, error, commanded torque, F_tip."""
         return self._closed[2]
 
     @property
@@ -109,7 +109,7 @@ class Linearization:
 
     @cached_property
     def opened(self) -> OpenSystem:
-        """The loop with every wire cut: what ``analysis`` works on."""
+        """The loop with every wire cut: the model that ``analysis`` works on."""
         out = open_system(self.equations, self.times, self.point.x, self.coordinates)
         if self.dt:
             from mfc_analysis.analysis.sampled import sampled
@@ -118,7 +118,7 @@ class Linearization:
         return out
 
     def _opened_for(self, *at: str | None) -> OpenSystem:
-        """``opened``; for the encoder in state coordinates, where the rate wire is the derivative of the position wire."""
+        """``opened``; for the encoder, in state coordinates, in which the rate wire is the derivative of the position wire."""
         if "position" in at and self.coordinates == "error" and not self.dt:
             return self._opened_in_state
         return self.opened
@@ -129,7 +129,7 @@ class Linearization:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """nx names; with a sample time they include the samples under way."""
+        """nx names; with a sample time they include the samples in transit."""
         return self.opened.state_names
 
     @property
@@ -154,13 +154,13 @@ class Linearization:
 
     @cached_property
     def stability(self) -> Stability:
-        """Stable, neutral, drifting at each time, dead time included."""
+        """Stable, neutral or drifting at each time, dead time included."""
         dead = self.delay or self.force_delay
         return stability(self.opened if dead or self.dt else _only_a(self))
 
     @property
     def stable(self) -> Bools:
-        """(m,) every root that is not neutral decays; exact with dead time."""
+        """(m,) True where every root that is not neutral is stable; exact with dead time."""
         return self.stability.stable
 
     @property
@@ -170,7 +170,7 @@ class Linearization:
 
     @property
     def drifts(self) -> Bools:
-        """(m,) a zero root in a Jordan chain: a position that slides, a speed that ramps."""
+        """(m,) True for a root at zero in a Jordan chain: a position drifts or a velocity ramps."""
         return self.stability.drifts
 
     def pole_table(self, index: int = 0) -> tuple[Pole, ...]:
@@ -194,10 +194,10 @@ class Linearization:
         return control.ss(A, B, C, D, self.dt, states=list(self.state_names), inputs=list(self.input_names), outputs=list(self.output_names))
 
     def loop(self, index: int = 0, at: str | None = None, channel: int | str | None = None) -> Any:
-        """L(s) at one time, broken at ``at`` in one channel (default: the first), the others closed; negative feedback; dead time left out.
+        """L(s) at one time, opened at ``at`` in one channel (default: the first), the others closed; negative feedback; dead time left out.
 
         Returns a ``control.StateSpace`` with one input and output.
-        Raises UnknownPoint, and UnknownName for a channel that isn't there.
+        Raises UnknownPoint, and UnknownName for an unknown channel.
         """
         import control
 
@@ -224,7 +224,7 @@ class Linearization:
         return margins(self._opened_for(at), at)
 
     def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None) -> DiskMargin:
-        """Disk margin of all loops at once (m,), at one point or several together. Raises UnknownPoint."""
+        """Disk margin of all loops at once (m,), at one analysis point or several together. Raises UnknownPoint."""
         from mfc_analysis.analysis.disk import disk_margin
 
         one = at if at is None or isinstance(at, str) else None
@@ -233,7 +233,7 @@ class Linearization:
         return disk_margin(self._opened_for(*points), points[0] if len(points) == 1 else points, grid)
 
     def frequency_response(self, frequencies: ArrayLike, at: str | None = None) -> Complex:
-        """(m, n, nf) loop transfers L_i(j w) at w [rad/s], each broken alone; dead time included. Raises UnknownPoint."""
+        """(m, n, nf) loop transfer functions L_i(j w) at w [rad/s], each opened alone; dead time included. Raises UnknownPoint."""
         from mfc_analysis.analysis.frequency.response import frequency_response
 
         w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies >= 0 [rad/s]")
@@ -249,14 +249,14 @@ class Linearization:
         return step(self.opened, self._index(index), input, output, duration)
 
     def decentralised(self) -> Decentralised:
-        """The same gains on diag(M) and diag(dg/dq): n separate loops. Raises Unsupported for laws that are not joint by joint."""
+        """The same gains on diag(M) and diag(dg/dq): n separate loops. Raises Unsupported for laws that are not decentralised."""
         return decentralised(self.equations, self.point)
 
     def transient_growth(self) -> TransientGrowth:
         """Largest singular value of the transition matrix Phi(t, 0) along the path (linear time-varying)."""
         return _transient_growth(self)
 
-    # --- small things --------------------------------------------------------------------------------------------
+    # --- arguments and text --------------------------------------------------------------------------------------
 
     def _at(self, at: str | None) -> str:
         if at is not None and not isinstance(at, str):
@@ -310,7 +310,7 @@ class Linearization:
 def linearize(
     equations: Equations, times: Array, about: About = "reference", coordinates: Coordinates | None = None, run: Simulation | None = None
 ) -> Linearization:
-    """The linearisation behind ``ClosedLoop.linearize``: times (m,) [s], strictly increasing.
+    """Implements ``ClosedLoop.linearize``: times (m,) [s], strictly increasing.
 
     Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
     """
@@ -331,7 +331,7 @@ def _points(equations: Equations, times: Array, about: About, run: Simulation | 
 
 
 def _regular(equations: Equations, point: OperatingPoint) -> Configuration:
-    """The arm at the operating points; for a tool law without damping, warned about or refused here where it is near-singular."""
+    """The arm at the operating points. A tool law without damping warns or raises here near a singularity."""
     plant = equations.plant
     q = np.ascontiguousarray(point.x[:, : equations.n])
     arm = plant.at(q)
@@ -354,7 +354,7 @@ def _coordinates(equations: Equations, asked: Coordinates | None, arm: Configura
 
 
 def _only_a(lin: Linearization) -> OpenSystem:
-    """The closed A alone, as a system without wires: enough for poles and stability without dead time."""
+    """The closed A alone, as a system without wires: sufficient for poles and stability without dead time."""
     A = lin.A
     m, nx = A.shape[0], A.shape[1]
     names = lin.equations.state_names
@@ -367,18 +367,18 @@ def _only_a(lin: Linearization) -> OpenSystem:
 
 
 def _transient_growth(lin: Linearization) -> TransientGrowth:
-    """Largest singular value of Phi(t, t_0) over the times of a linearisation, in its own coordinates.
+    """Largest singular value of Phi(t, t_0) over the times of a linearisation, in its coordinates.
 
-    The path between the times is linearised too (two Gauss nodes a step, steps no longer than the shortest of the given ones).
+    The path is also linearised between the times (two Gauss nodes per step, steps no longer than the shortest given interval).
     Raises BadArgument for fewer than two times.
     """
     from mfc_analysis.analysis.floquet import STEPS, accumulated, gauss_nodes, transient_growth as growth_of, transition_magnus
 
     times = lin.times
     if len(times) < 2:
-        raise BadArgument("times", times, "a linearisation at two times or more: growth is along a path")
+        raise BadArgument("times", times, "a linearisation at two or more times: growth is along a path")
     if lin.delay or lin.force_delay:
-        takes = "a sample_time beside it: transition matrices of a continuous loop with dead time are not finite"
+        takes = "a sample_time with it: transition matrices of a continuous loop with dead time have infinite dimension"
         raise Unsupported("hardware.delay", lin.delay or lin.force_delay, takes)
     if lin.dt:
         count = max(int(np.floor((times[-1] - times[0]) / lin.dt + 1e-9)), 1)

@@ -1,7 +1,7 @@
-"""Settling and overshoot of every reference channel to its own coordinate, along a path.
+"""Settling and overshoot of the step from every reference channel to its coordinate, along a path.
 
-Joint laws: q_d -> q of each joint. Tool laws: a body twist that moves X_d -> how far the tool has followed, r - X_e, of each
-axis (of 9.24: the axes of motion). Force laws: F_d -> F_tip of each axis that a surface resists.
+Joint laws: q_d -> q of each joint. Tool laws: a body twist r of X_d -> the tool motion r - X_e of each axis (9.24: the axes of
+motion). Force laws: F_d -> F_tip of each axis that a surface resists.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from mfc_analysis.linearization.linearization import Linearization
 
 
-RESISTED = 0.05  #: part of the stiffest axis above which an axis counts as resisted
+RESISTED = 0.05  #: fraction of the stiffest axis above which an axis counts as resisted
 
 
 @dataclass(frozen=True, eq=False)
 class StepMetrics:
-    """Metrics of linear unit steps, m times and k channels. NaN: the channel does not lead to a steady value of its own."""
+    """Metrics of linear unit steps, m times and k channels. NaN: the coordinate does not reach a steady value."""
 
     times: Array  #: (m,) [s]
     channels: tuple[str, ...]  #: (k,)
@@ -34,7 +34,7 @@ class StepMetrics:
 
 
 def step_metrics(lin: Linearization) -> StepMetrics:
-    """Settling and overshoot of all channels at all times of a linearised loop, from its exact step responses."""
+    """Settling [s] and overshoot of all channels at all times of a linearised loop, from its exact step responses."""
     system, pairs = followed(lin)
     m, k = len(lin.times), len(pairs)
     settling, overshoot = np.full((m, k), np.nan), np.full((m, k), np.nan)
@@ -48,7 +48,7 @@ def step_metrics(lin: Linearization) -> StepMetrics:
 
 
 def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]]:
-    """The system with a coordinate for each reference channel, and (input, output, name) of each."""
+    """The system with one coordinate per reference channel, and (input, output, name) of each."""
     system, law = lin.opened, lin.equations.law
     if not law.follows_motion:
         return system, _forces(lin, tuple(range(6)))
@@ -62,13 +62,13 @@ def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]
 
 
 def _held(rows: Array) -> Array:
-    """(6,) how much of each axis lies in the span of the constraint rows, 0 to 1."""
+    """(6,) fraction of each axis that lies in the span of the constraint rows, 0 to 1."""
     basis = np.linalg.svd(rows, full_matrices=False)[2]
     return np.asarray((basis**2).sum(axis=0))
 
 
 def _forces(lin: Linearization, axes: tuple[int, ...]) -> list[tuple[str, str, str]]:
-    """F_d -> F_tip of those tool axes that a surface resists: by its stiffness and damping in tool axes, forces and moments apart."""
+    """F_d -> F_tip of the tool axes that a surface resists, by its stiffness and damping in tool axes; forces and moments separately."""
     equations = lin.equations
     if not equations.surfaces or "F_d_fx" not in lin.input_names:
         return []
@@ -85,7 +85,7 @@ def _forces(lin: Linearization, axes: tuple[int, ...]) -> list[tuple[str, str, s
 
 
 def _with_followed_pose(system: OpenSystem) -> OpenSystem:
-    """X_e rows replaced by r - X_e: how far the tool has moved with its reference."""
+    """X_e rows replaced by r - X_e: the motion of the tool with its reference."""
     rows = [system.output_names.index(f"X_e_{c}") for c in TWIST]
     C, D = system.C.copy(), system.D.copy()
     C[:, rows] *= -1.0
