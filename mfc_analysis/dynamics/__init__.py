@@ -1,4 +1,4 @@
-"""The neck of the house: the equations of the whole loop, what it touches, and where it is looked at."""
+"""The equations of the whole loop, contact surfaces, hardware and operating points."""
 
 import lazy_loader
 

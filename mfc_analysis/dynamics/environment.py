@@ -1,8 +1,8 @@
 """Contact: a spring-damper surface fixed in the world, in chosen directions of a compliance frame (equation 9.19).
 
 Coordinates in the frame ``pose``: translations R^T (p_tool - p), rotations log3(R^T R_tool). Each axis points into the
-surface: force = stiffness x penetration + damping x rate + preload, and positive presses. The wrench acts at the tool
-origin; the moment of a rotation is the one that does the power of its coordinate.
+surface: force = stiffness x penetration + damping x rate + preload, positive in compression. The wrench acts at the tool
+origin; the moment of a rotation is power-conjugate to its coordinate.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Environment:
         pose: 4x4 pose of the compliance frame in the world; None: the tool's start pose.
         axes: directions of the compliance frame, "z", "xyz", "rz", "xyrz", ...
         preload: [N, Nm] the force at ``pose``, scalar or one per axis ((6,) with a (6, 6) stiffness).
-        one_sided: in simulation only: the surface pushes, never pulls; touch and lift are logged.
+        one_sided: in simulation only: the surface pushes and never pulls; contact made and lost is logged.
 
     Raises:
         BadArgument: a negative or non-finite number, a shape that does not fit the axes, an unknown axis, not a pose.
@@ -46,10 +46,10 @@ class Environment:
     axes: str = "z"
     preload: float | Array = 0.0
     one_sided: bool = False
-    index: tuple[int, ...] = field(init=False, repr=False)  #: the directions that resist, of x, y, z, rx, ry, rz
+    index: tuple[int, ...] = field(init=False, repr=False)  #: the compliant directions among x, y, z, rx, ry, rz
     K: Array = field(init=False, repr=False)  #: (6, 6) stiffness in the compliance frame
-    B: Array = field(init=False, repr=False)  #: (6, 6) damping there
-    f0: Array = field(init=False, repr=False)  #: (6,) preload there
+    B: Array = field(init=False, repr=False)  #: (6, 6) damping in the same frame
+    f0: Array = field(init=False, repr=False)  #: (6,) preload in the same frame
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -69,11 +69,11 @@ class Environment:
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """The directions that resist."""
+        """The compliant directions."""
         return tuple(AXES[i] for i in self.index)
 
     def with_stiffness(self, stiffness: ArrayLike) -> Environment:
-        """The same surface with another stiffness."""
+        """The same surface with another stiffness [N/m, Nm/rad]."""
         return replace(self, stiffness=checks.array("stiffness", stiffness))
 
 
@@ -104,10 +104,10 @@ def _matrix(argument: str, given: ArrayLike, index: tuple[int, ...], full: bool)
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """What the tool feels: its wrench on all surfaces (tool frame), and the force on each axis of each surface."""
+    """Contact forces: the wrench of the tool on all surfaces (tool frame), and the force on each axis of each surface."""
 
     wrench: Vector  #: F_tip (..., 6)
-    forces: tuple[Vector, ...]  #: a surface each: (..., 6) in its compliance frame
+    forces: tuple[Vector, ...]  #: one per surface: (..., 6) in its compliance frame
 
 
 def contact(surfaces: Sequence[Environment], model: Primitives, q: Vector, v: Vector, *, lose_contact: bool = False) -> Contact:
@@ -155,7 +155,7 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tupl
 
 
 def _press_along(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tuple[Vector, Vector]:
-    """The same for a surface that resists translations only, whose rotations need no logarithm."""
+    """``_press`` for a surface that resists translations only and needs no logarithm."""
     assert surface.pose is not None
     Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
     K, B = surface.K[:3, :3], surface.B[:3, :3]

@@ -1,13 +1,13 @@
-"""The equations of the whole loop, once: plant, law, hardware and contact, for simulation (plain arrays) and linearisation (dual arrays).
+"""The equations of the whole loop: plant, law, hardware and contact, for both simulation (plain arrays) and linearisation (dual arrays).
 
-Every analysis point is a wire that can be cut; ``Wires`` says which. Drawn once::
+Every analysis point is a wire that can be cut (``Wires``). The loop is::
 
                      reference (q_d, v_d, a_d) or (X_d, V_d, V_d')
                                   |
                                   v
         +---------------------- law (controller's model) ----------------------+
         |   states z, z_f, outer          "command" is cut inside the law,     |
-        |                                 behind the outer loop: a_q, V' or V_b|
+        |                                 after the outer loop: a_q, V' or V_b |
         +--^-----------^--------------------------------^----------------------+
            |           |                                |               | tau (or u)
      filter of v   encoder q, v                  filter of F_tip        x  "torque" ("velocity")
@@ -44,14 +44,14 @@ from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.robots.singularity import WARN_CONDITION
 
-#: slots that belong to the plant; the others are the controller's
+#: slots of the plant; the others belong to the controller
 PLANT_SLOTS = ("q", "v", "theta", "omega", "lag")
-NO_WRENCH = np.zeros(6)  #: F_d under a law that asks for no force
+NO_WRENCH = np.zeros(6)  #: F_d under a law without a force reference
 
 
 @contextmanager
 def timed(t: float | Array) -> Iterator[None]:
-    """What is refused at one of the points evaluated inside is raised with its time: t [s], one for each point or one for all."""
+    """Adds the time to NearSingular and NearPi raised inside: t [s], one for each point or one for all."""
     try:
         yield
     except (NearSingular, NearPi) as why:
@@ -60,7 +60,7 @@ def timed(t: float | Array) -> Iterator[None]:
 
 
 class Wires:
-    """The wires of the loop. Passing (nothing cut) unless given inputs: then a cut wire's signal is recorded and the input goes on."""
+    """The wires of the loop. Without inputs no wire is cut. A cut wire records its signal and passes the given input on."""
 
     def __init__(self, inputs: Mapping[str, Vector] | None = None) -> None:
         self.inputs = dict(inputs or {})
@@ -77,7 +77,7 @@ class Wires:
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """The loop at a state: its rates and what one may want to look at. Plain (..., k) or dual."""
+    """The loop at a state: its rates and signals. Plain (..., k) or dual."""
 
     rates: Mapping[str, Vector]  #: slot -> rate
     error: Vector  #: e (..., n) or X_e (..., 6)
@@ -87,7 +87,7 @@ class Flow:
 
 
 class Part(NamedTuple):
-    """Where a slot lies in the state."""
+    """Position of a slot in the state."""
 
     where: slice
     slot: Slot
@@ -95,11 +95,11 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """External inputs added at an evaluation: reference shift, disturbance at the joints, F_d. Zero unless given."""
+    """External inputs of an evaluation: reference shift, disturbance at the joints, F_d. Zero unless given."""
 
     reference: Vector | None = None  #: (..., n) added to q_d, or a body twist (..., 6) moving X_d
     disturbance: Vector | None = None  #: (..., n) [Nm], or [rad/s] on velocity plants
-    F_d: Vector | None = None  #: (..., 6) the law's F_d instead of its own
+    F_d: Vector | None = None  #: (..., 6) replaces the F_d of the law
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +107,12 @@ class Equations:
     """A robot, a law with its model, a reference, surfaces and hardware, as one system of differential equations."""
 
     robot: Robot
-    model: Robot  #: what the controller believes
+    model: Robot  #: the controller's model
     law: Law
     reference_source: Any  #: a reference of ``trajectories``
     surfaces: Sequence[Environment]
     hardware: Hardware
-    q_start: Array | None = None  #: (n,) where a tool reference is followed from
+    q_start: Array | None = None  #: (n,) joint position from which a tool reference is followed
     plant: Primitives = field(init=False)
     controller: Primitives = field(init=False)
     joints: JointHardware = field(init=False)
@@ -224,7 +224,7 @@ class Equations:
     # --- the reference -------------------------------------------------------------------------------------------
 
     def reference(self, t: float | Array, inputs: Inputs | None = None) -> JointReference | ToolReference:
-        """The reference at t, for joint or tool laws; a joint reference under a tool law is that of its tool."""
+        """The reference at t [s], for joint or tool laws; for a tool law a joint reference gives the motion of its tool."""
         shift, F_d = (None, None) if inputs is None else (inputs.reference, inputs.F_d)
         if F_d is None:
             F_d = NO_WRENCH if self.law.desired_wrench is None else self.law.desired_wrench
@@ -244,7 +244,7 @@ class Equations:
     def flow(self, t: float | Array, x: Vector, wires: Wires | None = None, inputs: Inputs | None = None, *, lose_contact: bool = False) -> Flow:
         """Rates and signals of the loop at state x (..., nx) and time t (...,), plain or dual; wires may be cut.
 
-        Raises NearSingular and NearPi with the time where it happens.
+        Raises NearSingular and NearPi with the time.
         """
         with timed(t):
             return self._flow(t, self.split(x), wires or Wires(), inputs or Inputs(), lose_contact)
@@ -310,7 +310,7 @@ class Equations:
         return rates
 
     def _net(self, s: Mapping[str, Vector], drive: Vector, F: Vector, disturbance: Vector) -> Vector:
-        """Torque left for M q'' + C v + g: drive + disturbance - friction - J^T F_tip."""
+        """Net torque M q'' + C v + g: drive + disturbance - friction - J^T F_tip."""
         net = drive + disturbance
         if np.any(self.robot.viscous) or np.any(self.robot.coulomb):
             net = net - self.plant.friction(s["v"])
@@ -319,7 +319,7 @@ class Equations:
         return net
 
     def limited(self, command: Vector) -> Vector:
-        """The command as far as the actuators can give it."""
+        """The command, saturated at the limits of the actuators."""
         limit = self.joints.torque_limit
         if limit is None or self.actuator == "velocity":
             return command
@@ -328,7 +328,7 @@ class Equations:
     def _with_measured_acceleration(
         self, t: float | Array, s: dict[str, Vector], command: Vector, F: Vector, disturbance: Vector, wires: Wires
     ) -> Vector:
-        """tau = command - E q'', E q'' the law's ``acceleration_torque``, with q'' of the plant under the very torque that it makes."""
+        """tau = command - E q'', E q'' the law's ``acceleration_torque``, with q'' of the plant under this same torque tau."""
         law, ref = self.law, self.reference(t)
         assert isinstance(ref, JointReference)
         if "lag" in s or wires.cuts("torque"):
@@ -345,13 +345,13 @@ class Equations:
     # --- for plain arrays ----------------------------------------------------------------------------------------
 
     def rates(self, t: float | Array, x: Array, disturbance: Array | None = None, *, lose_contact: bool = False) -> Array:
-        """x' (..., nx) for plain arrays: what a simulation integrates (no dead time, no sampling)."""
+        """x' (..., nx) for plain arrays, as a simulation integrates it (no dead time, no sampling)."""
         found = self.flow(t, x, None, None if disturbance is None else Inputs(disturbance=disturbance), lose_contact=lose_contact)
         return value(self.join(found.rates))
 
 
 def warn_near_singular(equations: Equations, times: Array, q: Array) -> None:
-    """Warn where a tool law that inverts J undamped is evaluated near a singularity: at times (m,) [s] and joint positions q (m, n)."""
+    """Warns where a tool law that inverts J without damping is near a singularity: at times (m,) [s] and joint positions q (m, n)."""
     if equations.law.space == "tool" and not equations.law.damping:
         found = equations.plant.at(q).nearest_singular
         if found.condition > WARN_CONDITION:
@@ -359,7 +359,7 @@ def warn_near_singular(equations: Equations, times: Array, q: Array) -> None:
 
 
 def refuse_what_does_not_apply(equations: Equations) -> None:
-    """Raise Unsupported for hardware or surfaces that this loop has no place for."""
+    """Raises Unsupported for hardware or surfaces that do not apply to this loop."""
     hardware, law = equations.hardware, equations.law
     name = type(law).__name__
     if law.plant == "velocity":
@@ -368,7 +368,7 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
                 takes = f"a law with torque inputs; {name} commands joint velocities (velocity_lag, delay, sample_time apply)"
                 raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), takes)
         if equations.surfaces:
-            takes = f"a law with torque inputs; under {name} the joints follow the commanded velocity whatever the force"
+            takes = f"a law with torque inputs; under {name} the joints follow the commanded velocity, whatever the contact force"
             raise Unsupported("environment", equations.surfaces[0], takes)
     elif hardware.velocity_lag is not None:
         takes = f"a law with velocity inputs (9.1-9.5); {name} commands torques: use torque_lag"
@@ -376,7 +376,7 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
     if not law.senses_force:
         for field_ in ("force_delay", "force_filter"):
             if getattr(hardware, field_) is not None:
-                raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), f"a law that measures the force (9.22-9.24); {name} doesn't")
+                raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), f"a law that measures the force (9.22-9.24); {name} does not")
     if law.needs_acceleration and (hardware.delay is not None or hardware.sample_time is not None or hardware.elastic):
         takes = f"no delay, sample_time or elastic joints for {name} in this form: its algebraic loop is solved with q'' at the same instant"
         raise Unsupported("hardware", hardware, takes)

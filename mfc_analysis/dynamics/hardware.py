@@ -1,4 +1,4 @@
-"""What stands between the law and the joints: lag, dead time, sampling, filters, elastic joints, torque limits. All off by default."""
+"""Hardware between the law and the joints: lag, dead time, sampling, filters, elastic joints, torque limits. All off by default."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 
-MOST_SAMPLES = 2000  #: of dead time in a sampled loop
+MOST_SAMPLES = 2000  #: largest dead time of a sampled loop, in samples
 
 
 @dataclass(frozen=True, eq=False)
 class Hardware:
-    """Imperfections of a real arm's loop; None (or 0) means: not there.
+    """Imperfections of a real control loop; None (or 0) turns one off.
 
-    Lags act behind the commanded torque (velocity), filters on the measured signals, both of first order:
-    T y' = u - y. ``delay`` is dead time of each commanded torque (velocity for 9.1-9.5), ``force_delay`` of the measured
-    wrench. With ``sample_time`` the law runs once a sample: torque held in between (zero-order hold), the law's own states
-    (integrals, filters, LTI outer loops) advanced exactly with their inputs held over the sample.
+    Lags act on the commanded torque (velocity), filters on the measured signals. Both are of first order: T y' = u - y.
+    ``delay`` is the dead time of each commanded torque (velocity for 9.1-9.5), ``force_delay`` that of the measured wrench. With
+    ``sample_time`` the law runs once per sample: the torque is held in between (zero-order hold), and the law's own states
+    (integrals, filters, LTI outer loops) advance exactly with their inputs held over the sample.
 
     Elastic joints (Spong's model): K (theta - q) + D (theta' - q') drives the link, the motor obeys
-    B theta'' + K (theta - q) + D (theta' - q') = tau. ``feedback`` says where the encoder sits.
+    B theta'' + K (theta - q) + D (theta' - q') = tau. ``feedback`` selects the encoder position.
 
     Raises:
         BadArgument: a field is negative, not finite, or of another shape than a scalar or (n,).
@@ -42,7 +42,7 @@ class Hardware:
     joint_damping: float | Array | None = None  #: [Nm s/rad], scalar or (n,)
     motor_inertia: float | Array | None = None  #: [kg m^2] on the link side of the gear, scalar or (n,)
     torque_limit: float | Array | None = None  #: [Nm], scalar or (n,); acts in simulation
-    feedback: Literal["motor", "link"] = "motor"  #: where the encoder of an elastic joint sits
+    feedback: Literal["motor", "link"] = "motor"  #: encoder position of an elastic joint
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -55,16 +55,16 @@ class Hardware:
             got = (self.joint_stiffness, self.motor_inertia)
             raise BadArgument("joint_stiffness, motor_inertia", got, "both or neither: an elastic joint needs both")
         if self.joint_damping is not None and self.joint_stiffness is None:
-            raise BadArgument("joint_damping", self.joint_damping, "joint_stiffness= and motor_inertia= beside it")
+            raise BadArgument("joint_damping", self.joint_damping, "joint_stiffness= and motor_inertia= with it")
         for name in ("delay", "force_delay"):
             late = getattr(self, name)
             if late and self.sample_time and late > MOST_SAMPLES * self.sample_time:
-                takes = f"at most {MOST_SAMPLES} sample times of {self.sample_time:g} s: each late sample is a state of the discrete model"
+                takes = f"at most {MOST_SAMPLES} sample times of {self.sample_time:g} s: each delayed sample is a state of the discrete model"
                 raise BadArgument(f"hardware.{name}", late, takes)
 
     @property
     def ideal(self) -> bool:
-        """True if nothing is switched on."""
+        """True if every imperfection is off."""
         return all(getattr(self, f.name) is None for f in fields(self) if f.name != "feedback")
 
     @property
@@ -73,7 +73,7 @@ class Hardware:
         return self.joint_stiffness is not None
 
     def for_joints(self, n: int) -> JointHardware:
-        """The same with an entry for each of n joints. Raises BadArgument where a field has another shape."""
+        """The same hardware with one entry for each of n joints. Raises BadArgument where a field has another shape."""
 
         def each(name: str, given: float | Array | None) -> Array | None:
             return None if given is None else checks.per_joint(f"hardware.{name}", given, n)
@@ -99,12 +99,12 @@ class Springs:
     stiffness: Array  #: (n,) [Nm/rad]
     damping: Array  #: (n,) [Nm s/rad]
     motor_inertia: Array  #: (n,) [kg m^2]
-    motor_encoder: bool  #: the encoder sits on the motor, not on the link
+    motor_encoder: bool  #: True: encoder on the motor; False: on the link
 
 
 @dataclass(frozen=True, eq=False)
 class JointHardware:
-    """What stands at each of n joints; None: not there."""
+    """Hardware of each of n joints; None: off."""
 
     torque_lag: Array | None  #: (n,) [s]
     velocity_lag: Array | None  #: (n,) [s]
@@ -118,7 +118,7 @@ SCALARS = ("delay", "force_delay", "sample_time", "force_filter")  #: the same f
 
 def _positive_or_none(name: str, given: ArrayLike) -> Any:
     alone = name in SCALARS
-    takes = f"{'one number' if alone else 'a scalar or (n,) array'}, positive; None or 0 where it is not there"
+    takes = f"{'one number' if alone else 'a scalar or (n,) array'}, positive; None or 0 turns it off"
     out = checks.array(f"hardware.{name}", given)
     if out.ndim > (0 if alone else 1) or np.any(out < 0) or (out.ndim == 1 and np.any(out == 0) and np.any(out > 0)):
         raise BadArgument(f"hardware.{name}", given, takes)

@@ -1,8 +1,8 @@
 """Exact Jacobians of ``equations.py`` at m points, by one evaluation with dual arrays: the closed A, or the loop with every wire cut.
 
 In coordinates "error" the joint states (q, v) are replaced by (X_e, V_e) of a tool law, or (e, e') of a joint law. The new
-rates are exact along a moving path: they are the linearised rates of the error itself, not T A T^-1. These states are the error
-from the reference as it is: an external reference input moves what the law sees, and jumps of it are no jumps of a state.
+rates are exact along a moving path: they are the linearised rates of the error itself, not T A T^-1. These states are errors
+from the nominal reference: an external reference input changes the input of the law, and its jumps do not make a state jump.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ Coordinates = Literal["state", "error"]
 
 
 class _Change(NamedTuple):
-    """Error coordinates: their first states, and the rates of these; dual over all columns."""
+    """Error coordinates: their leading states and the rates of these, dual over all columns."""
 
     states: Vector  #: (m, k)
     rates: Vector  #: (m, k)
-    replaced: int  #: how many leading states of x they stand for
+    replaced: int  #: number of leading states of x that they replace
 
 
 def _seed(at: Array, start: int, width: int) -> Dual:
@@ -63,7 +63,7 @@ def open_system(
 ) -> OpenSystem:
     """The loop at (times, x) with every wire cut: external inputs (reference, disturbance, F_d) and all wires as columns.
 
-    ``arriving`` gives the values (m, k) behind a wire where they are not those in front of it (dead time on a moving path).
+    ``arriving`` gives the values (m, k) after a wire where they differ from those before it (dead time on a moving path).
     """
     m, nx, n = len(times), equations.nx, equations.n
     held = equations.flow(times, x)  # values on the wires
@@ -129,9 +129,9 @@ def open_system(
 
 
 def _finite(A: Array) -> Array:
-    """A itself; BadArgument where it has overflowed: a state out of this world."""
+    """A, unchanged. Raises BadArgument where it overflows."""
     if not np.isfinite(A).all():
-        raise BadArgument("the operating point", "derivatives that are not finite", "positions, velocities and gains of a size that a robot has")
+        raise BadArgument("the operating point", "derivatives that are not finite", "positions, velocities and gains of realistic size")
     return A
 
 

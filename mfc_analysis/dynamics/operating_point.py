@@ -1,4 +1,4 @@
-"""Where a loop is linearised: on its reference with the integral trimmed, at its rest point, or along a simulation."""
+"""Operating points of a loop: on its reference with the integral trimmed, at its equilibrium, or along a simulation."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from mfc_analysis.trajectories.inverse_kinematics import follow
 
 @dataclass(frozen=True, eq=False)
 class OperatingPoint:
-    """Where a loop is linearised, m times. Not necessarily an equilibrium: ``residual`` is the acceleration left over.
+    """Operating points of a linearisation at m times. They need not be equilibria: ``residual`` is the residual acceleration.
 
-    The linear loop speaks in deviations: states x - x0, inputs u - u0, outputs y - y0, and rates x' - x0'.
+    The linear loop is in deviations: states x - x0, inputs u - u0, outputs y - y0, and rates x' - x0'.
     """
 
     times: Array  #: (m,) [s]
     x: Array  #: (m, nx) in the order of ``state_names``
-    residual: Array | None  #: (m, n) q'' - a_d [rad/s^2] (q' - v_d [rad/s] on velocity plants) left there; None: not yet computed
+    residual: Array | None  #: (m, n) q'' - a_d [rad/s^2] (q' - v_d [rad/s] on velocity plants); None: not yet computed
 
 
 @dataclass(frozen=True, eq=False)
 class Nominal:
-    """The joint motion that the reference asks for."""
+    """Joint motion of the reference."""
 
     q: Array  #: (m, n)
     v: Array
@@ -38,7 +38,7 @@ class Nominal:
 
 
 def nominal(equations: Equations, times: Array) -> Nominal:
-    """Joint motion (q, v, a), (m, n) each, that the reference asks for; tool references are followed from ``q_start`` (eq 9.14)."""
+    """Reference motion of the joints (q, v, a), (m, n) each; tool references are followed from ``q_start`` (eq 9.14)."""
     if equations.reference_source.space == "joint":
         point = equations.reference_source(times)
         return Nominal(*(np.ascontiguousarray(x) for x in point))
@@ -59,16 +59,16 @@ def on_reference(equations: Equations, times: Array) -> OperatingPoint:
 
 
 def at_rest(equations: Equations) -> OperatingPoint:
-    """The rest point near a reference that holds. Raises Unsupported on a moving one, NotConverged."""
+    """The equilibrium near a reference at rest. Raises Unsupported on a moving reference, NotConverged."""
     if not equations.reference_source.is_hold:
-        raise Unsupported("about", "equilibrium", "a reference at rest (Hold, ToolHold): a moving one has no rest point")
+        raise Unsupported("about", "equilibrium", "a reference at rest (Hold, ToolHold): a moving reference has no equilibrium")
     return rest_point(equations, on_reference(equations, np.zeros(1)), lambda x: closed_matrix(equations, np.zeros(1), x))
 
 
 def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPoint:
     """(q, v) of the reference; integrals such that the law's torque is the plant's inverse dynamics there; force integral at 0.
 
-    Where Ki is singular z is the least-squares solution of smallest norm. Actuator lags are at that torque, filters at what they measure.
+    Where Ki is singular z is the least-squares solution of smallest norm. Actuator lags start at that torque, filters at their input.
     """
     plant, springs = equations.plant, equations.joints.springs
     q, v, a = nominal.q, nominal.v, nominal.a
@@ -100,9 +100,9 @@ def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPo
 
 
 def residual(equations: Equations, times: Array, x: Array, nominal: Nominal) -> Array:
-    """(m, n) what the law leaves over at x: q'' - a_d, or q' - v_d on velocity plants.
+    """(m, n) residual of the law at x: q'' - a_d, or q' - v_d on velocity plants.
 
-    Elastic joints: the acceleration that the motors' torque lacks, for joints and motors together, as if the springs were rigid.
+    Elastic joints: the residual acceleration of joint and motor together, as if the springs were rigid.
     """
     rates = _rates(equations, times, x)
     if equations.joints.springs is not None:
@@ -114,7 +114,7 @@ def residual(equations: Equations, times: Array, x: Array, nominal: Nominal) -> 
 
 
 def _rates(equations: Equations, times: Array, x: Array) -> dict[str, Array]:
-    """Rates with an actuator's lag left out: the command itself drives the joints, so that a residual shows at once."""
+    """Rates without actuator lag: the command drives the joints directly, so that the residual appears at once."""
     found = equations.flow(times, x)
     if "lag" not in equations.parts:
         return {name: value(r) for name, r in found.rates.items()}
@@ -135,9 +135,9 @@ def _trim(equations: Equations, times: Array, slots: dict[str, Array], name: str
 
 
 def rest_point(equations: Equations, start: OperatingPoint, closed: Any) -> OperatingPoint:
-    """The rest point near the start by Newton with line search: every rate zero, except of integrals that act on nothing.
+    """The equilibrium near the start by Newton with line search: every rate is zero, except those of integrals that act on nothing.
 
-    ``closed(x)`` gives the closed-loop A (1, nx, nx) at x. Raises NotConverged where there is none near (an arm pushing into free space).
+    ``closed(x)`` gives the closed-loop A (1, nx, nx) at x. Raises NotConverged where none is near (an arm that pushes into free space).
     """
     t = start.times[:1]
     x = start.x[:1].copy()
@@ -169,10 +169,10 @@ def rest_point(equations: Equations, start: OperatingPoint, closed: Any) -> Oper
                     return OperatingPoint(t, x, np.zeros((1, equations.n)))
                 worst = int(np.argmax(np.abs(keep.T @ gap)))
                 raise NotConverged(
-                    f"equilibrium: no rest point found near the reference; the rate of {equations.state_names[worst]} stays at {f[worst]:.3g} "
-                    "(a force with nothing to push against, or gains too weak to hold the arm up?)"
+                    f"equilibrium: not found near the reference; the rate of {equations.state_names[worst]} stays at {f[worst]:.3g} "
+                    "(a force reference in free space, or gains too low to hold the arm?)"
                 )
-    raise NotConverged(f"equilibrium: no rest point found near the reference after 60 Newton steps; largest rate left {np.abs(f).max():.3g}")
+    raise NotConverged(f"equilibrium: not found near the reference after 60 Newton steps; largest rate {np.abs(f).max():.3g}")
 
 
 def _acting(A: Array, integrals: tuple[int, ...]) -> Array:

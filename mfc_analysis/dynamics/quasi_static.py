@@ -1,4 +1,4 @@
-"""Equation 9.20: slow motion, g + J^T F_tip = tau. The loop's force where inertia, friction and Coriolis are left out."""
+"""Equation 9.20: slow motion, g + J^T F_tip = tau. The force of the loop without inertia, friction and Coriolis terms."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class QuasiStatic:
 
     force: Array  #: (6,) F_tip, tool frame [N, Nm]
     error: Array  #: (6,) F_d - F_tip
-    q: Array  #: (n,) where the arm rests
+    q: Array  #: (n,) joint position at rest
     equations: Equations = field(repr=False)
-    x: Array | None = field(repr=False)  #: (1, nx) the rest point; None without an environment
+    x: Array | None = field(repr=False)  #: (1, nx) the equilibrium; None without an environment
 
     def departure(self, frequencies: ArrayLike) -> Array:
-        """(nf,) how far 9.20 is from 9.19 at w [rad/s]: largest singular value of (T_dynamic - T_static), the transfers from F_d to F_tip.
+        """(nf,) deviation of 9.20 from 9.19 at w [rad/s]: largest singular value of T_dynamic - T_static, both from F_d to F_tip.
 
-        0 where the quasi-static model is exact, 1 where it is wrong by the whole force. Needs an environment.
+        0: the quasi-static model is exact; 1: its error is as large as the force. Needs an environment.
         """
         w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies > 0 [rad/s]")
         if not self.equations.surfaces or self.x is None:
@@ -51,7 +51,7 @@ class QuasiStatic:
 
 
 def _massless(e: Equations, A: Array, B: Array, C: Array, D: Array) -> Callable[[complex], Complex]:
-    """Transfer F_d -> F_tip with M q'' left out of the torque balance: the rows of v' say 0 = torques."""
+    """Transfer F_d -> F_tip without M q'' in the torque balance: the rows of v' read 0 = torques."""
     v = e.parts["v"].where
     left = np.eye(len(A))
     left[v, v] = 0.0
@@ -64,11 +64,11 @@ def _massless(e: Equations, A: Array, B: Array, C: Array, D: Array) -> Callable[
 
 
 def quasi_static(e: Equations) -> QuasiStatic:
-    """The rest force of g + J^T F_tip = tau (9.20) under the loop's own law.
+    """The static force of g + J^T F_tip = tau (9.20) under the law of the loop.
 
-    With an environment: at the rest point of the loop (its rest point satisfies 9.20 exactly). Without one the tool is held
-    rigidly in all six directions at the reference: F_tip solves J^T F_tip = tau(F_tip) - g by least squares; with a force
-    integral F_tip = F_d. Raises Unsupported for velocity laws, NotConverged.
+    With an environment: at the equilibrium of the loop, which satisfies 9.20 exactly. Without one the tool is held rigidly in
+    all six directions at the reference: F_tip solves J^T F_tip = tau(F_tip) - g by least squares; with a force integral
+    F_tip = F_d. Raises Unsupported for velocity laws, NotConverged.
     """
     if e.actuator != "torque":
         raise Unsupported("law", type(e.law).__name__, "a law with torque inputs")

@@ -1,4 +1,4 @@
-"""The state a simulation starts from: an error or joint position asked for, integrals, and what hardware holds."""
+"""Start state of a simulation: initial error or joint position, integrals and hardware states."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def start_state(
     force_integral: ArrayLike = 0.0,
     actuator: ArrayLike | None = None,
 ) -> Array:
-    """(nx,) the state a run starts from: see ``ClosedLoop.simulate``. Raises BadArgument."""
+    """(nx,) start state of a run; see ``ClosedLoop.simulate``. Raises BadArgument."""
     e, n = equations, equations.robot.n
     asked = nominal(equations, np.array([t]))
     slots: dict[str, Array] = {name: np.zeros(where.stop - where.start) for name, (where, _) in e.parts.items()}
@@ -66,7 +66,7 @@ def start_state(
 
 
 def _nothing(argument: str, given: ArrayLike, why: str) -> None:
-    """Raise BadArgument unless the start of a state that is not there is 0."""
+    """Raises BadArgument unless the start value of a state that does not exist is 0."""
     if np.any(checks.array(argument, given) != 0):
         raise BadArgument(argument, given, f"0: {why}")
 
@@ -80,7 +80,7 @@ def _integral(equations: Equations, t: float, integral: Any, size: int) -> Array
 
 
 def _displaced(equations: Equations, t: float, q_d: Array, initial_error: ArrayLike) -> Array:
-    """The joint position whose error is the one asked for: e = q_d - q, or X_e = log6(X^-1 X_d) for tool laws."""
+    """The joint position with this initial error: e = q_d - q, or X_e = log6(X^-1 X_d) for tool laws."""
     n = equations.robot.n
     error = checks.array("initial_error", initial_error)
     tool = equations.law.space == "tool"

@@ -143,7 +143,7 @@ def test_in_free_space_without_an_integral_the_damped_loop_is_neutral() -> None:
     lin = loop.linearize([0.0])
     assert (lin.neutral[0], lin.drifts[0], lin.stable[0]) == (1, False, True)
     assert_allclose(loop.simulate(3.0).v[-1], 2 * 10 / 20.0, rtol=1e-5)
-    with pytest.raises(NotConverged, match="push against"):
+    with pytest.raises(NotConverged, match="free space"):
         loop.equilibrium()
 
 
