@@ -1,4 +1,4 @@
-"""Searches over a loop: the largest stiffness, payload, dead time and bandwidth, the slowest sampling, the worst case, sweeps and maps."""
+"""Design searches: the largest stiffness, payload, dead time and bandwidth, the smallest sample rate, the worst case, sweeps and maps."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""A loop over its dead time: growth of its exact roots at many dead times, and maps of dead time x a second quantity."""
+"""A loop over its dead time: growth of the exact roots at many dead times, and maps of dead time x a second quantity."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ class DelayMap:
 
 
 def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0) -> Array:
-    """(d,) [1/s] largest real part of the exact roots that are not at zero, with each dead time of the actuators in place of the loop's own.
+    """(d,) [1/s] largest real part of the exact roots that are not at zero, for each dead time of the actuators in place of the given one.
 
     Args:
-        loop: a continuous loop. delays: (d,) [s] > 0. time: [s] the point of the reference.
+        loop: a continuous loop. delays: (d,) [s] > 0. time: [s] on the reference.
 
-    The dead time of the force sensor stays. Raises BadArgument for dead times that are not positive, Unsupported for a sampled loop.
+    The dead time of the force sensor is kept. Raises BadArgument for dead times that are not positive, Unsupported for a sampled loop.
     """
     T = checks.array("delays", np.atleast_1d(np.asarray(delays)), (None,), "dead times > 0 [s]")
     if np.any(T <= 0):
         raise BadArgument("delays", delays, "dead times > 0 [s]")
     hardware = loop.hardware or Hardware()
     if hardware.sample_time is not None:
-        raise Unsupported("hardware.sample_time", hardware.sample_time, "a continuous loop: a sampled one has its dead time in its poles")
+        raise Unsupported("hardware.sample_time", hardware.sample_time, "a continuous loop: the poles of a sampled loop include its dead time")
     late = replace(loop, hardware=replace(hardware, delay=1.0))
     opened = late.linearize([time]).opened
     where = opened.wires[late.equations.actuator]

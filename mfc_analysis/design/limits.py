@@ -1,7 +1,7 @@
-"""Design searches: how stiff, how late, how seldom, how heavy, how fast a loop may become. Bisection on exact stability.
+"""Design searches for the limits of stiffness, dead time, sample rate, payload and bandwidth, by bisection on exact stability.
 
-Judged are the roots that are not at zero, dead time and sampling exact, at all ``times`` (a Hold: at 0; else 21 times over the
-reference's duration or period). Each result is a float that says what binds, with the loop on the limit in ``.loop``.
+Stability is that of the roots that are not at zero, with exact dead time and sampling, at all ``times`` (a Hold: at 0; else 21 times
+over the duration or period of the reference). Each result is a float with the limiting condition, and the loop at the limit in ``.loop``.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from mfc_analysis.requirements.requirements import Requirements
 
 __all__ = ["Limit", "Outcome", "WorstCase", "max_bandwidth", "max_delay", "max_payload", "max_stiffness", "min_sample_rate", "worst_case"]
 
-MOVING_TIMES = 21  #: times judged along a moving reference
+MOVING_TIMES = 21  #: times checked along a moving reference
 
 
 def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | None = None, progress: bool = False) -> Limit:
     """Largest environment stiffness [N/m] (rotations alone: [Nm/rad]) with which the loop is stable; inf if stable up to ``upper``.
 
-    Varied is every environment with a preload (all of them where none has one): its stiffness is scaled until its largest
-    translational entry is the value, its damping kept. The force at the reference stays what it is: the preload takes up what the
-    penetration there, times the change of stiffness, would add. The scan starts at 1e-8 ``upper``; if stable nowhere: 0.
+    The search varies every environment with a preload (all of them where none has one): it scales the stiffness so that the largest
+    translational entry has the value, and keeps the damping. The force at the reference does not change: the preload compensates
+    penetration times the change of stiffness. The scan starts at 1e-8 ``upper``; 0 if stable nowhere.
 
     Raises BadArgument: a loop without an environment, ``upper`` not a positive number.
     """
@@ -54,7 +54,7 @@ def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | No
 
 
 def max_delay(loop: ClosedLoop, upper: float = 10.0, *, times: ArrayLike | None = None, progress: bool = False) -> Limit:
-    """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the loop's own) with which the loop is stable.
+    """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the given one) with which the loop is stable.
 
     inf if stable up to ``upper`` [s]; 0 if it is not stable without dead time. Raises BadArgument.
     """
@@ -71,10 +71,10 @@ def max_delay(loop: ClosedLoop, upper: float = 10.0, *, times: ArrayLike | None 
 def max_payload(
     loop: ClosedLoop, upper: float = 1e3, *, com: ArrayLike = (0.0, 0.0, 0.0), times: ArrayLike | None = None, progress: bool = False
 ) -> Limit:
-    """Largest payload [kg] added at the tool, the controller not knowing, with which the loop is stable about its reference.
+    """Largest payload [kg] at the tool, unknown to the controller, with which the loop is stable about its reference.
 
-    The payload is a point mass at ``com`` (3,) [m] in tool axes, on top of what the plant carries; the controller's model stays what it
-    was. inf if stable up to ``upper`` [kg]; 0 if it is not stable without. Raises BadArgument.
+    The payload is a point mass at ``com`` (3,) [m] in tool axes, added to the payload of the plant; the controller's model does not
+    change. inf if stable up to ``upper`` [kg]; 0 if it is not stable without. Raises BadArgument.
     """
     _loop(loop)
     upper = checks.number("upper", upper, low=0.0, strict=True)
@@ -90,7 +90,7 @@ def max_payload(
 def min_sample_rate(loop: ClosedLoop, lower: float = 0.1, upper: float = 1e5, *, times: ArrayLike | None = None, progress: bool = False) -> Limit:
     """Smallest rate [1/s] of a sampled controller (``Hardware.sample_time``, zero-order hold) with which the loop is stable.
 
-    Searched from ``upper`` downwards to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate. Raises BadArgument.
+    The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate. Raises BadArgument.
     """
     _loop(loop)
     lower, upper = checks.number("lower", lower, low=0.0, strict=True), checks.number("upper", upper, low=0.0, strict=True)
@@ -115,14 +115,14 @@ def max_bandwidth(
     upper: float = 1e4,
     progress: bool = False,
 ) -> Bandwidth:
-    """Largest bandwidth [rad/s] whose loop meets the requirements: 1 % more misses the one that is named (``.binding``).
+    """Largest bandwidth [rad/s] whose loop meets the requirements. ``.binding`` is the requirement missed just above it.
 
     Args:
-        make_loop: bandwidth [rad/s] -> the loop, or several of them (payloads, surfaces) that all have to meet the requirements.
+        make_loop: bandwidth [rad/s] -> the loop, or several (payloads, surfaces) that must all meet the requirements.
         times, at: as for ``Requirements.check``. lower, upper: [rad/s] ends of the search.
 
-    WATCH counts as met. Bandwidths from ``lower`` on that miss the requirements (too slow, say) are passed over and noted. 0 if met
-    nowhere, inf if met up to ``upper``. Raises BadArgument, and whatever ``make_loop`` raises.
+    WATCH counts as met. Bandwidths from ``lower`` on that miss the requirements (too slow, for example) are skipped and noted. 0 if met
+    nowhere, inf if met up to ``upper``. Raises BadArgument, and any error of ``make_loop``.
     """
     if not isinstance(requirements, Requirements):
         raise BadArgument("requirements", requirements, "a Requirements, such as mfc.Requirements(phase_deg=45)")
@@ -141,9 +141,9 @@ def max_bandwidth(
 
 
 class Bandwidth(Limit):
-    """The result of ``max_bandwidth``: a ``Limit`` [rad/s] that names the requirement that binds."""
+    """The result of ``max_bandwidth``: a ``Limit`` [rad/s] with the limiting requirement."""
 
-    binding: Line | None = None  #: the line that is missed just beyond; None where nothing is
+    binding: Line | None = None  #: the requirement missed just above the limit; None where none is
 
 
 def _bandwidth(bracket: Bracket, missed: Callable[[float], tuple[ClosedLoop, Line | None]], lower: float) -> Bandwidth:
@@ -155,7 +155,7 @@ def _bandwidth(bracket: Bracket, missed: Callable[[float], tuple[ClosedLoop, Lin
         )
     beyond, line = missed(bracket.lost)
     assert line is not None
-    said = f"{line.label} is missed beyond: {_shown(line)}"
+    said = f"above it {line.label} is missed: {_shown(line)}"
     if bracket.outcome is Outcome.NOWHERE:
         out = Bandwidth(
             0.0,
@@ -169,14 +169,14 @@ def _bandwidth(bracket: Bracket, missed: Callable[[float], tuple[ClosedLoop, Lin
         )
     else:
         slow = "" if bracket.before is None else f"at {lower:.4g}" if bracket.before <= lower else f"from {lower:.4g} up to {bracket.before:.4g}"
-        notes = (f"the requirements are missed {slow} rad/s as well",) if slow else ()
+        notes = (f"the requirements are also missed {slow} rad/s",) if slow else ()
         out = Bandwidth(bracket.holds, name, unit, bracket.outcome, said, missed(bracket.holds)[0], beyond, count, notes)
     out.binding = line
     return out
 
 
 def _missed(made: ClosedLoop | Sequence[ClosedLoop], requirements: Requirements, times: Array, at: str | None) -> tuple[ClosedLoop, Line | None]:
-    """The worst loop and the line that it fails, if any."""
+    """The worst loop and its failed line, if any."""
     loops = [made] if isinstance(made, ClosedLoop) else list(made)
     if not loops or not all(isinstance(x, ClosedLoop) for x in loops):
         raise BadArgument("make_loop", made, "a function that returns a ClosedLoop or several")
@@ -198,7 +198,7 @@ def _shown(line: Line) -> str:
 
 
 def stable(loop: ClosedLoop, times: ArrayLike) -> bool:
-    """True if the roots that are not at zero are all inside at all times (m,) [s], dead time and sampling exact."""
+    """True if all roots that are not at zero are stable at all times (m,) [s], with exact dead time and sampling."""
     return bool(Evidence(loop.equations, checks.times(times)).judged.all())
 
 
@@ -216,15 +216,15 @@ def _limit(
     if bracket.outcome is Outcome.NOWHERE:
         there = make(float(values[0]))
         said = (
-            f"not stable from {values[0]:g} to {values[-1]:g} {unit}; {_root(there, t)}" if values[0] else f"not stable as it is; {_root(there, t)}"
+            f"not stable from {values[0]:g} to {values[-1]:g} {unit}; {_root(there, t)}" if values[0] else f"not stable as given; {_root(there, t)}"
         )
         return Limit(0.0, name, unit, bracket.outcome, said, there, there, bracket.evaluations)
     last = make(bracket.holds)
     notes: tuple[str, ...] = ()
     if bracket.before is not None:
-        notes += (f"not stable from {values[0]:.4g} up to {bracket.before:.4g} {unit} either",)
+        notes += (f"also not stable from {values[0]:.4g} up to {bracket.before:.4g} {unit}",)
     if Evidence(last.equations, t).stability.drifts.any():
-        notes += ("the loop drifts: judged are the roots that are not at zero",)
+        notes += ("the loop drifts: the limit is that of the roots that are not at zero",)
     if bracket.outcome is Outcome.UNLIMITED:
         return Limit(np.inf, name, unit, bracket.outcome, f"stable up to {bracket.holds:g} {unit}", last, None, bracket.evaluations, notes)
     beyond = make(bracket.lost)
@@ -237,7 +237,7 @@ def _root(loop: ClosedLoop, t: Array) -> str:
         return "every root is at zero"
     found = evidence.slowest_root()
     kind = "a real root" if found.note == "real" else f"a pair of roots at {found.note}"
-    return f"{kind} is not inside ({found.where}, t = {found.when:.4g} s)"
+    return f"{kind} is unstable ({found.where}, t = {found.when:.4g} s)"
 
 
 def _times(loop: ClosedLoop, times: ArrayLike | None) -> Array:

@@ -1,6 +1,6 @@
-"""Searching for the value at which something is lost: a logarithmic scan, its first loss, then bisection. Nothing is assumed monotone.
+"""Search for the value at which a condition is lost: a logarithmic scan, its first loss, then bisection. No monotonicity is assumed.
 
-An interval of loss narrower than one step of the scan can be missed; the scan has ``STEPS`` a decade.
+An interval of loss narrower than one step of the scan can be missed; the scan has ``STEPS`` steps per decade.
 """
 
 from __future__ import annotations
@@ -20,44 +20,44 @@ if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
 
 
-STEPS = 8  #: of the scan, a decade
+STEPS = 8  #: steps of the scan per decade
 CLOSE = 1e-7  #: relative width at which bisection ends
 
 Tick = Callable[[float], None]
 
 
 class Outcome(Enum):
-    """How a search ended; the value is the sentence."""
+    """Outcome of a search; the value is a sentence."""
 
-    FOUND = "the limit lies between two values that differ by less than 1e-6 of it"
-    UNLIMITED = "it holds up to the end of the search"
-    NOWHERE = "it holds nowhere in the search"
+    FOUND = "the limit is known to a relative 1e-6"
+    UNLIMITED = "the condition holds up to the end of the search"
+    NOWHERE = "the condition holds nowhere in the search"
 
 
 @dataclass(frozen=True)
 class Bracket:
-    """The last value at which it holds and the first at which it does not."""
+    """The last value at which the condition holds and the first at which it does not."""
 
     holds: float  #: NaN if it holds nowhere
     lost: float  #: NaN if it is never lost
     outcome: Outcome
-    before: float | None  #: it does not hold up to this value of the scan either, below ``holds``
+    before: float | None  #: below ``holds``, the condition also fails up to this value of the scan
     evaluations: int
 
 
 class Limit(float):
-    """A value found by a search: a float that says what binds there, with the loop that sits on it.
+    """A limit found by a search: a float with the limiting condition and the loop at the limit.
 
-    ``loop`` is the closed loop at the last value at which it holds: linearise, simulate or check it to see.
+    ``loop`` is the closed loop at the last value at which the condition holds; it can be linearised, simulated or checked.
     """
 
-    name: str  #: what was searched
+    name: str  #: quantity searched
     unit: str
     outcome: Outcome
-    binds: str  #: what is lost beyond, a sentence
+    binds: str  #: condition lost beyond the limit, a sentence
     loop: ClosedLoop
-    beyond: ClosedLoop | None  #: the loop at the first value at which it does not hold; None where there is none
-    evaluations: int  #: loops judged
+    beyond: ClosedLoop | None  #: the loop at the first value at which the condition fails; None where there is none
+    evaluations: int  #: number of loops checked
     notes: tuple[str, ...]
 
     def __new__(
@@ -75,30 +75,30 @@ class Limit(float):
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
-        head = f"{self.name}: {float(self):.6g}{unit} ({self.evaluations} loops judged)"
+        head = f"{self.name}: {float(self):.6g}{unit} ({self.evaluations} loops checked)"
         return "\n".join([head, f"  {self.binds or self.outcome.value}", *(f"  note: {note}" for note in self.notes)])
 
     __repr__ = __str__
 
     @property
     def replay(self) -> str:
-        """Python code that makes the loop on the limit again."""
+        """Python code that rebuilds the loop at the limit."""
         from mfc_analysis.requirements.replay import replay
 
         return str(replay(self.loop))
 
 
 def scan(lower: float, upper: float, steps: int = STEPS) -> Array:
-    """Values from ``lower`` to ``upper``, equally spaced on a logarithmic scale, ``steps`` a decade. Raises BadArgument."""
+    """Values from ``lower`` to ``upper``, equally spaced on a logarithmic scale, ``steps`` per decade. Raises BadArgument."""
     if not 0 < lower < upper < np.inf:
         raise BadArgument("upper", upper, f"a finite number above {lower:g}")
     return np.geomspace(lower, upper, max(2, int(np.ceil(steps * np.log10(upper / lower))) + 1))
 
 
 def first_loss(holds: Callable[[float], bool], values: Array, *, skip: bool = True) -> Bracket:
-    """The first loss along rising values, closed in by bisection.
+    """The first loss along increasing values, located by bisection.
 
-    ``skip``: values at the beginning at which it does not hold are passed over (``Bracket.before``); else they end the search.
+    ``skip``: initial values at which the condition fails are skipped (``Bracket.before``); otherwise they end the search.
     """
     count, last, before = 0, np.nan, None
     for x in values:
@@ -119,7 +119,7 @@ def first_loss(holds: Callable[[float], bool], values: Array, *, skip: bool = Tr
 
 
 def bisected(holds: Callable[[float], bool], low: float, high: float) -> tuple[float, float, int]:
-    """(low, high, evaluations): holds at low, not at high, a relative ``CLOSE`` apart. Geometric, from zero arithmetic."""
+    """(low, high, evaluations): holds at low, not at high, a relative ``CLOSE`` apart. Geometric bisection; arithmetic from zero."""
     count = 0
     while high - low > CLOSE * high:
         middle = float(np.sqrt(low * high)) if low > 0.1 * high else 0.5 * (low + high)
@@ -135,7 +135,7 @@ def bisected(holds: Callable[[float], bool], low: float, high: float) -> tuple[f
 
 @contextmanager
 def shown(progress: bool, title: str) -> Iterator[Tick]:
-    """A line on the terminal that tells the value being judged, if ``progress``."""
+    """A line on the terminal with the value being checked, if ``progress``."""
     if not progress:
         yield lambda _: None
         return

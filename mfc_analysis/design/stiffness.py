@@ -1,8 +1,8 @@
-r"""A force loop over the stiffness of what it presses on: poles, verdicts and margins at many stiffnesses at once.
+r"""A force loop over the stiffness of its environment: poles, verdicts and margins at many stiffnesses at once.
 
 A surface whose force is ``preload`` at the operating point enters the linear loop by its stiffness alone, and linearly: A, B, C, D of the
-opened loop are those of two stiffnesses and what lies between and beyond on the same line. So two linearisations serve any number of
-stiffnesses, and the analysis runs on all of them as one batch. The operating point stays where it is.
+opened loop at any stiffness follow from those at two stiffnesses. Two linearisations therefore serve any number of stiffnesses, and the
+analysis runs on all of them as one batch. The operating point does not change.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
 
 
-_APART = (1e3, 2e3)  #: [N/m] the two stiffnesses that are linearised: of the order of what is asked, so that rounding stays small
+_APART = (1e3, 2e3)  #: [N/m] the two stiffnesses that are linearised: of a typical order, so that rounding stays small
 
 
 @dataclass(frozen=True, eq=False)
 class StiffnessSweep:
-    """One loop at k stiffnesses, everything else kept."""
+    """One loop at k stiffnesses; nothing else changes."""
 
     stiffness: Array  #: (k,) [N/m, Nm/rad]
     opened: OpenSystem  #: the loop with every wire cut; its m points are the stiffnesses
@@ -45,17 +45,17 @@ class StiffnessSweep:
 
     @cached_property
     def stability(self) -> Stability:
-        """Stable, neutral, drifting at each stiffness, dead time included."""
+        """Stable, neutral or drifting at each stiffness, dead time included."""
         return stability(without_idle(self.opened))
 
     @property
     def stable(self) -> Bools:
-        """(k,) the roots that are not at zero all decay, dead time included."""
+        """(k,) True where all roots that are not at zero are stable, dead time included."""
         return self.stability.nonzero_stable
 
     @cached_property
     def growth(self) -> Array:
-        """(k,) [1/s] largest real part of the roots that are not at zero, dead time included; of a sampled loop ln|z| / dt."""
+        """(k,) [1/s] largest real part of the roots that are not at zero, dead time included; ln|z| / dt for a sampled loop."""
         return growth(self.opened)
 
     def margins(self, at: str = "force") -> Margins:
@@ -66,11 +66,11 @@ class StiffnessSweep:
 
 
 def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0) -> StiffnessSweep:
-    """The loop at k stiffnesses of every surface that has a preload; surfaces without one stay as they are.
+    """The loop at k stiffnesses of every surface that has a preload; surfaces without one do not change.
 
     Args:
-        loop: a torque loop in contact. stiffness: (k,) [N/m, Nm/rad] > 0, to which those surfaces are scaled. time: [s] the point
-            of the reference, which stays the operating point: the force there is kept.
+        loop: a torque loop in contact. stiffness: (k,) [N/m, Nm/rad] > 0, to which those surfaces are scaled. time: [s] on the
+            reference; this operating point and its force are kept.
 
     Raises:
         BadArgument: no surface with a preload, or stiffnesses that are not positive.
@@ -82,7 +82,7 @@ def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0) ->
 
 
 def _line(loop: ClosedLoop, time: float) -> Callable[[Array], StiffnessSweep]:
-    """Stiffnesses (k,) -> the loop there: two linearisations, made once."""
+    """Stiffnesses (k,) -> the loop at these, from two linearisations made once."""
     first = at_stiffness(loop, _APART[0], time).linearize([time])
     one, two = first.opened, at_stiffness(loop, _APART[1], time).linearize([time], coordinates=first.coordinates).opened
 
@@ -95,13 +95,13 @@ def _line(loop: ClosedLoop, time: float) -> Callable[[Array], StiffnessSweep]:
 
 
 def at_stiffness(loop: ClosedLoop, stiffness: float, time: float = 0.0) -> ClosedLoop:
-    """The same loop with another stiffness [N/m] of every surface that has a preload, and the same force at the reference of ``time``.
+    """The same loop with another stiffness [N/m] of every surface that has a preload, and the same force on the reference at ``time``.
 
     Raises BadArgument where no surface has a preload.
     """
     surfaces = loop.equations.surfaces
     if not any(s.f0.any() for s in surfaces):
-        raise BadArgument("environment", surfaces, "a surface with a preload: its stiffness is the one that is varied")
+        raise BadArgument("environment", surfaces, "a surface with a preload, whose stiffness is varied")
     X = loop.robot.pose(loop.nominal([time]).q[0])
     return replace(loop, environment=[stiffened(s, stiffness, X) if s.f0.any() else s for s in surfaces])
 
@@ -120,7 +120,7 @@ class StabilityMap:
         return np.asarray(self.growth < 0)
 
     def boundary(self) -> Array:
-        """(g,) [N/m] the lowest stiffness at which the loop loses stability, interpolated; inf: nowhere, NaN: unstable from the first on."""
+        """(g,) [N/m] the lowest stiffness at which the loop loses stability, interpolated; inf: nowhere; NaN: unstable at the first stiffness."""
         out = np.full(len(self.values), np.inf)
         for i, row in enumerate(self.growth):
             lost = np.flatnonzero((row[:-1] < 0) & (row[1:] >= 0))
@@ -135,7 +135,7 @@ class StabilityMap:
 
 
 def stiffness_map(make_loop: Callable[[float], ClosedLoop], stiffness: ArrayLike, values: Sequence[float] | Array) -> StabilityMap:
-    """The loop ``make_loop(value)`` over stiffness x values: two linearisations for each value, whatever the number of stiffnesses.
+    """The loop ``make_loop(value)`` over stiffness x values: two linearisations for each value, for any number of stiffnesses.
 
     Args:
         make_loop: value (a gain, a lag, a dead time) -> loop in contact. stiffness: (k,) [N/m]. values: (g,).
@@ -150,8 +150,8 @@ def stiffness_map(make_loop: Callable[[float], ClosedLoop], stiffness: ArrayLike
 def stable_up_to(loop: ClosedLoop, upper: float = 1e6, lower: float = 1.0) -> float:
     """[N/m] the lowest stiffness in (lower, upper) at which the loop loses stability, to a relative 1e-6.
 
-    inf: stable throughout; NaN: unstable at ``lower``. The exact verdict, dead time included, on 20 stiffnesses and then between two of
-    them; a window of instability narrower than that can be missed. The same as ``design.max_stiffness`` in a tenth of its time.
+    inf: stable throughout; NaN: unstable at ``lower``. Checks exact stability, dead time included, at 20 stiffnesses and then between two
+    of them; a narrower window of instability can be missed. As ``design.max_stiffness``, in a tenth of its time.
     Raises as ``over_stiffness``.
     """
     low, high = checks.number("lower", lower, low=0.0, strict=True), checks.number("upper", upper, low=0.0, strict=True)

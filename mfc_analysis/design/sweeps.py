@@ -1,7 +1,7 @@
-"""Sweeps over named grids by joblib, as an xarray with named axes. A point that fails is recorded with its error, not lost.
+"""Sweeps over named grids by joblib, as an xarray with named axes. A point that fails is recorded with its error.
 
-Any joblib backend spreads the points: ``with joblib.parallel_config(backend="dask"): mfc.sweep(...)``. The default (loky) sends
-functions by cloudpickle, so closures and lambdas do.
+Any joblib backend distributes the points: ``with joblib.parallel_config(backend="dask"): mfc.sweep(...)``. The default (loky) sends
+functions by cloudpickle, so closures and lambdas work.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from mfc_analysis.errors import BadArgument, MfcWarning
 if TYPE_CHECKING:
     import xarray as xr
 
-ERROR = "error"  #: name of the coordinate with what went wrong at a point: empty where nothing did
+ERROR = "error"  #: name of the coordinate with the error message of each point; empty where the point succeeds
 
 
 class Point(NamedTuple):
-    """One point of a sweep, done."""
+    """Result at one point of a sweep."""
 
-    value: Any  #: what ``measure`` returned; None where it failed
-    error: str  #: empty, or what went wrong
+    value: Any  #: result of ``measure``; None where it fails
+    error: str  #: error message, or empty
 
 
 def sweep(
@@ -40,18 +40,18 @@ def sweep(
     """``measure(build(**point))`` at every point of the grid.
 
     Args:
-        build: keyword parameters -> whatever ``measure`` takes, usually a ``ClosedLoop``.
-        grid: name -> values (numbers or words), an axis each, in this order.
-        measure: -> a number or an array (a ``DataArray``; further axes are ``dim_0``, ...), or a mapping of such (a ``Dataset``). All of
-            a name have one shape.
-        n_jobs: processes; None: as ``joblib.parallel_config`` says, else one. progress: a bar on the terminal.
+        build: keyword parameters -> the argument of ``measure``, usually a ``ClosedLoop``.
+        grid: name -> values (numbers or words), one axis each, in this order.
+        measure: -> a number or an array (a ``DataArray``; further axes are ``dim_0``, ...), or a mapping of these (a ``Dataset``). Results
+            of one name have one shape.
+        n_jobs: processes; None: set by ``joblib.parallel_config``, else one. progress: a bar on the terminal.
 
     Returns:
-        NaN where a point failed; what went wrong there is the coordinate ``error`` (empty where nothing did) over the grid's axes. A
-        warning says how many failed.
+        NaN where a point fails. The coordinate ``error`` over the axes of the grid holds the error message (empty where the point
+        succeeds). A warning gives the number of failed points.
 
     Raises:
-        BadArgument: functions that cannot be called, an empty grid or axis, results that do not fit together.
+        BadArgument: functions that cannot be called, an empty grid or axis, inconsistent results.
     """
     names, axes = _checked(build, grid, measure)
     points = [dict(zip(names, values, strict=True)) for values in product(*axes.values())]
@@ -85,13 +85,13 @@ def _checked(build: Any, grid: Any, measure: Any) -> tuple[tuple[str, ...], dict
 
 
 def one_point(build: Callable[..., Any], measure: Callable[[Any], Any], point: Mapping[str, Any]) -> Point:
-    """One point, with what went wrong there if anything did. Top-level, so that every backend can send it."""
+    """Result or error at one point. A module-level function, so that every backend can send it."""
     try:
         value = measure(build(**point))
         if isinstance(value, Mapping):
             return Point({str(name): np.asarray(x) for name, x in value.items()}, "")
         return Point(np.asarray(value), "")
-    except Exception as why:  # functions of the user: whatever they raise belongs to the point
+    except Exception as why:  # user functions: any error they raise is recorded for the point
         return Point(None, f"{type(why).__name__}: {' '.join(str(why).split())}")
 
 
@@ -101,7 +101,7 @@ def _run(
     import joblib
     from joblib.parallel import get_active_backend
 
-    streams = bool(getattr(get_active_backend()[0], "supports_return_generator", False))  # Dask's, for one, does not
+    streams = bool(getattr(get_active_backend()[0], "supports_return_generator", False))  # Dask, for example, does not
     parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator" if streams else "list")
     with _bar(progress, len(points)) as advance:
         done: Iterator[Point] = iter(parallel(joblib.delayed(one_point)(build, measure, p) for p in points))  # pyright: ignore[reportArgumentType, reportAssignmentType]
@@ -152,7 +152,7 @@ def _entry(value: Any, name: str) -> Any:
 
 
 def _block(axes: Mapping[str, list[Any]], shape: tuple[int, ...], values: list[Any], name: str) -> tuple[tuple[str, ...], NDArray[Any]]:
-    """All values as one array over the axes and their own, NaN (or empty) where there is none."""
+    """All values as one array over the grid axes and their own axes, NaN (or empty) where there is no value."""
     there = [np.asarray(v) for v in values if v is not None]
     inner = there[0].shape if there else ()
     if any(v.shape != inner for v in there):
@@ -170,7 +170,7 @@ def _block(axes: Mapping[str, list[Any]], shape: tuple[int, ...], values: list[A
 
 
 def _coordinate(values: list[Any]) -> NDArray[Any]:
-    """An axis as it was given: numbers, words, or labels of anything else."""
+    """An axis of numbers or words as given; labels of any other values."""
     try:
         out = np.asarray(values)
     except ValueError:

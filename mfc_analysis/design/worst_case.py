@@ -1,4 +1,4 @@
-"""What breaks first: the worst metric over ranges of parameters, by a grid and a local search, as a case that can be replayed."""
+"""Worst case: the worst value of a metric over ranges of parameters, by a grid and a local search, with code to replay it."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from mfc_analysis.requirements.requirements import KINDS
 
 Case = dict[str, float]
 
-SHRINKS = 12  #: halvings of the local search's step
-WIDE = 100.0  #: a range whose ends have this ratio or more is spaced logarithmically
+SHRINKS = 12  #: halvings of the step in the local search
+WIDE = 100.0  #: ratio of the ends of a range from which it is spaced logarithmically
 
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """The worst case found, convertible to float. ``value`` is NaN where the loop is not stable there."""
+    """The worst case found, convertible to float. ``value`` is NaN where the loop is not stable."""
 
-    metric: str  #: what was minimised (maximised, for metrics with an upper limit)
+    metric: str  #: metric that is minimised (maximised, for metrics with an upper limit)
     value: float  #: of the metric, in its own unit
     case: Case  #: the parameters; ``build(**case)`` is the loop
     loop: ClosedLoop
     where: str  #: joint or channel
     when: float | None  #: [s]
     stable: bool
-    rightmost: float  #: [1/s] real part of the rightmost root there
+    rightmost: float  #: [1/s] real part of the rightmost root in this case
     evaluations: int
-    failed: tuple[tuple[Case, str], ...] = field(default=())  #: cases that could not be built or judged, with the reason
-    replay: str = ""  #: code that makes the loop again
+    failed: tuple[tuple[Case, str], ...] = field(default=())  #: cases that could not be built or analysed, with the reason
+    replay: str = ""  #: code that rebuilds the loop
 
     def __float__(self) -> float:
         return self.value
@@ -49,7 +49,7 @@ class WorstCase:
         place = ", ".join(p for p in (self.where, "" if self.when is None else f"t = {self.when:.4g} s") if p)
         label, unit = (KINDS[self.metric].label, f" {KINDS[self.metric].unit}".rstrip()) if self.metric in KINDS else (self.metric, "")
         head = f"{label} {self.value:.6g}{unit}" if self.stable else f"not stable: rightmost root {self.rightmost:.4g} 1/s"
-        lost = f"; {len(self.failed)} cases could not be judged" if self.failed else ""
+        lost = f"; {len(self.failed)} cases could not be analysed" if self.failed else ""
         return f"worst case of {self.evaluations}: {head} at {case} ({place}){lost}"
 
     __repr__ = __str__
@@ -57,7 +57,7 @@ class WorstCase:
 
 @dataclass(frozen=True)
 class _Score:
-    """Orders cases: not stable before stable, then by the metric; the smaller, the worse."""
+    """Order of cases: not stable before stable, then by the metric; smaller is worse."""
 
     key: tuple[int, float]
     value: float
@@ -75,16 +75,16 @@ def worst_case(
     at: str | None = None,
     points: int = 5,
 ) -> WorstCase:
-    """The worst case over ranges x path.
+    """The worst case over parameter ranges and path.
 
     Args:
         build: keyword parameters -> ``ClosedLoop``.
-        ranges: name -> (low, high), searched on a grid of ``points`` and then between; or three or more values, tried as they are.
+        ranges: name -> (low, high), searched on a grid of ``points`` and then in between; or three or more values, tried as given.
         times: (m,) [s] of the path. at: analysis point.
-        metric: a field of ``Requirements``, or a function loop -> number, the smaller the worse. NaN counts as worst.
+        metric: a field of ``Requirements``, or a function loop -> number where smaller is worse. NaN counts as worst.
 
-    Ends of a range a hundredfold apart are spaced logarithmically. A case that cannot be built is recorded in ``failed``.
-    Raises BadArgument, UnknownName; where no case can be judged the last reason is raised.
+    A range with ends a factor of 100 or more apart is spaced logarithmically. A case that cannot be built is recorded in ``failed``.
+    Raises BadArgument, UnknownName; where no case can be analysed the last error is raised.
     """
     if isinstance(metric, str) and metric not in METRICS:
         raise UnknownName("metric", metric, METRICS)
@@ -124,7 +124,7 @@ class _Search:
     last: MfcError | None = None
 
     def score(self, case: Mapping[str, float]) -> _Score | None:
-        """None where the case cannot be judged, which is recorded."""
+        """None where the case cannot be analysed; the error is recorded."""
         self.count += 1
         given = {name: float(x) for name, x in case.items()}
         try:
@@ -156,10 +156,10 @@ class _Axis:
     low: float
     high: float
     log: bool
-    between: bool  #: values between those of the grid may be tried
+    between: bool  #: True: values between the grid values may be tried
 
     def moved(self, x: float, part: float) -> float:
-        """x moved by a part of the range, within it."""
+        """x moved by a fraction of the range, within the range."""
         if self.log:
             return float(np.clip(x * (self.high / self.low) ** part, self.low, self.high))
         return float(np.clip(x + part * (self.high - self.low), self.low, self.high))
@@ -180,7 +180,7 @@ def _axis(name: str, given: Any, points: int) -> _Axis:
 
 
 def _local(search: _Search, axes: Mapping[str, _Axis], best: _Score, case: Case) -> tuple[_Score, Case]:
-    """Pattern search: one parameter at a time, the step halved where none helps."""
+    """Pattern search: one parameter at a time; the step is halved where no move improves the result."""
     part = 0.5 / max(len(a.values) - 1 for a in axes.values())
     for _ in range(SHRINKS):
         improved = True

@@ -182,7 +182,7 @@ def test_a_loop_that_is_unstable_as_it_is_has_no_room_at_all():
     loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.JointPID(5.0, 100.0, 2.0), mfc.trajectories.Hold([0.3]))
     for search in (design.max_delay, design.max_payload):
         found = search(loop)
-        assert float(found) == 0.0 and found.outcome is Outcome.NOWHERE and "not stable as it is" in found.binds
+        assert float(found) == 0.0 and found.outcome is Outcome.NOWHERE and "not stable as given" in found.binds
     assert math.isinf(design.min_sample_rate(loop))
 
 
