@@ -1,4 +1,4 @@
-"""Gains from a bandwidth, a natural frequency, a crossover or a settling time, and what they achieve."""
+"""Gains from a bandwidth, a natural frequency, a crossover or a settling time, with the metrics they achieve."""
 
 import lazy_loader
 

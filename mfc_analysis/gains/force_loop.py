@@ -21,26 +21,26 @@ from mfc_analysis.gains.scalar_loop import LoopMetrics, loop_metrics
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.roots import root_between
 
-_FAST = 1e3  # how far, as a factor of frequency, a bandwidth is sought above the loop with kfp = 0 and its poles together
+_FAST = 1e3  # search range of the bandwidth, as a frequency ratio to the loop with kfp = 0 and its poles together
 
 
 @dataclass(frozen=True, eq=False)
 class ForceDesign:
-    """Gains of the one-mass force loop, and what it does with them."""
+    """Gains of the one-mass force loop, and the metrics of the loop."""
 
     kfp: float  #: [-]
     kfi: float  #: [1/s]
     kdamp: float  #: [N s/m]
-    natural_frequency: float  #: [rad/s] of the pair of poles, confirmed on the polynomial
-    damping: float  #: of the pair of poles, confirmed on the polynomial
+    natural_frequency: float  #: [rad/s] of the pair of poles, verified on the polynomial
+    damping: float  #: of the pair of poles, verified on the polynomial
     pole: float  #: [rad/s] the pole at -pole
     metrics: LoopMetrics  #: of L at the force sensor
     tracking_bandwidth: float  #: [rad/s] -3 dB from F_d to F_tip
-    stiffness_range: tuple[float, float]  #: [N/m] stable between them with these gains
+    stiffness_range: tuple[float, float]  #: [N/m] range in which the loop is stable with these gains
 
 
 class Placed(NamedTuple):
-    """Gains, and where they put the poles: a pair, one at -pole, and the lag's own at -fast (inf without lag)."""
+    """Gains and the poles they place: a pair, one at -pole, and the pole of the lag at -fast (inf without lag)."""
 
     kfp: float
     kfi: float
@@ -57,7 +57,7 @@ def characteristic(kfp: float, kfi: float, kdamp: float, k: float, m: float, T: 
 
 
 def stiffness_range(kfp: float, kfi: float, kdamp: float, m: float, T: float = 0.0, b: float = 0.0) -> tuple[float, float]:
-    """Stiffnesses (low, high) between which the loop is stable, by Routh's criterion; (nan, nan) if it never is."""
+    """Stiffnesses (low, high) [N/m] between which the loop is stable, by the Routh criterion; (nan, nan) if there are none."""
     M = m + b * T
     damped = (b + kdamp) * (1 + kfp) - M * kfi
     fight = T * (1 + kfp) * (m * (1 + kfp) - M) / M  # stable iff damped > fight k_e
@@ -69,7 +69,7 @@ def stiffness_range(kfp: float, kfi: float, kdamp: float, m: float, T: float = 0
 
 
 def force_design(name: str, value: float, k: float, m: float, T: float, b: float, zeta: float) -> ForceDesign:
-    """Gains >= 0 for which the metric ``name`` (as in ``mfc.gains``) is ``value``; ``BadArgument`` with the reason where there are none."""
+    """Gains >= 0 for which the metric ``name`` (as in ``mfc.gains``) is ``value``. Raises ``BadArgument`` with the reason where none exist."""
     if name == "natural_frequency":
         return _finished(name, value, _placed(value, 1.0, k, m, T, b, zeta), k, m, T, b)
 
@@ -96,13 +96,13 @@ def force_design(name: str, value: float, k: float, m: float, T: float, b: float
 
 
 def _placed(w: float, r: float, k: float, m: float, T: float, b: float, zeta: float) -> Placed:
-    """Gains that put the poles at the pair (zeta, w) and at -r w."""
+    """Gains that place the poles at the pair (zeta, w) and at -r w."""
     p = r * w
     a2, a1, a0 = 2 * zeta * w + p, w * w + 2 * zeta * w * p, p * w * w
     f = (1 / T + b / m - a2) if T else math.inf
     if T and f < w:
         raise BadArgument(
-            "lag", T, f"less than {1 / (a2 + w - b / m):.4g} s for poles at {w:.4g} rad/s: the lag must stay the fastest part of the loop"
+            "lag", T, f"less than {1 / (a2 + w - b / m):.4g} s for poles at {w:.4g} rad/s: the lag must be the fastest part of the loop"
         )
     K, kkfi = (m * T * (a0 + f * a1), m * T * f * a0) if T else (m * a1, m * a0)
     kdamp = m * T * (a1 + f * a2) - k * T - b if T else m * a2 - b
@@ -112,8 +112,8 @@ def _placed(w: float, r: float, k: float, m: float, T: float, b: float, zeta: fl
         raise BadArgument(
             "natural_frequency",
             w,
-            f"at least {_without_proportional(r, k, m, T, b, zeta):.6g} rad/s here, where kfp = 0: the spring alone is stiffer than the loop asked "
-            "for; ask for a bandwidth, which may be lower",
+            f"at least {_without_proportional(r, k, m, T, b, zeta):.6g} rad/s here, where kfp = 0: the spring alone is stiffer than the required "
+            "loop; specify a bandwidth, which may be lower",
         )
     if kdamp < 0:
         raise BadArgument("damping", zeta, f"more: with friction {b:g} N s/m and lag {T:g} s it would need a negative kdamp ({kdamp:.4g} N s/m)")
@@ -135,7 +135,7 @@ def _without_proportional(r: float, k: float, m: float, T: float, b: float, zeta
     roots = np.roots([m * T * (r - (1 + 2 * zeta * r) * (2 * zeta + r)), m * T * c * (1 + 2 * zeta * r), 0.0, -k])
     real = np.sort(roots[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)].real)
     if not real.size or real[0] > c / (2 * zeta + r + 1):
-        raise BadArgument("lag", T, f"a smaller lag: on {k:g} N/m the lag leaves no place for a pair of damping {zeta:g} that is slower than it")
+        raise BadArgument("lag", T, f"a smaller lag: on {k:g} N/m no pair with damping {zeta:g} is slower than the lag")
     return float(real[0])
 
 
@@ -156,11 +156,11 @@ def _loop(kfp: float, kfi: float, kdamp: float, k: float, m: float, T: float, b:
 
 
 def _finished(name: str, value: float, placed: Placed, k: float, m: float, T: float, b: float) -> ForceDesign:
-    """The design, measured on its polynomial; refused where that does not confirm what was asked."""
+    """The design, with metrics from its polynomial. Raises BadArgument where these differ from the specification."""
     kfp, kfi, kdamp, w, zeta, p, fast = placed
     closed = characteristic(kfp, kfi, kdamp, k, m, T, b)
     metrics = loop_metrics(*_loop(kfp, kfi, kdamp, k, m, T, b))
-    # the poles are confirmed on the polynomial of the finished gains: multiplied out they must give its coefficients
+    # the poles are verified on the polynomial of the final gains: multiplied out they must give its coefficients
     factors = np.polymul(np.polymul([1.0, 2 * zeta * w, w * w], [1.0, p]), [1 / fast, 1.0] if T else [1.0])
     actual = np.array(closed if T else closed[1:])
     confirmed = np.allclose(factors * (actual[-1] / factors[-1]), actual, rtol=1e-8, atol=0)
@@ -174,8 +174,8 @@ def _finished(name: str, value: float, placed: Placed, k: float, m: float, T: fl
 def _unattainable(name: str, value: float, known: Array, k: float, m: float, T: float, b: float, zeta: float) -> BadArgument:
     fine = known[np.isfinite(known)]
     if not fine.size:
-        _placed(*_family(1e-3, k, m, T, b, zeta), k, m, T, b, zeta)  # raises with its own reason
+        _placed(*_family(1e-3, k, m, T, b, zeta), k, m, T, b, zeta)  # raises with a specific reason
         return BadArgument(name, value, "a stiffness, mass, lag and friction for which some gains >= 0 are stable")
     slow = (value < fine.min()) != (name == "settling_time")
-    why = f"less needs a negative kdamp at friction {b:g} N s/m: ask for more damping" if slow else f"more is out of reach behind a lag of {T:g} s"
+    why = f"less needs a negative kdamp at friction {b:g} N s/m: specify more damping" if slow else f"more is not possible with a lag of {T:g} s"
     return BadArgument(name, value, f"{fine.min():.4g} to {fine.max():.4g} on {k:g} N/m with gains >= 0; {why}")

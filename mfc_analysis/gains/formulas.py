@@ -1,4 +1,4 @@
-r"""Gains from what a loop should do: bandwidth, natural frequency, crossover or settling time.
+r"""Gains from a specification of the loop: bandwidth, natural frequency, crossover or settling time.
 
 Every helper takes exactly one of
 
@@ -7,8 +7,8 @@ Every helper takes exactly one of
 - ``crossover`` [rad/s]: where abs(L) = 1,
 - ``settling_time`` [s]: the last time at which the step response of T is 2 % away from 1,
 
-and returns ``Gains``, which unpack into a law: ``ComputedTorque(**pid(bandwidth=hertz(4)))``. What the finished loop achieves is
-measured on its polynomials, not copied from the question. L is the loop the gains were made for, in negative feedback:
+and returns ``Gains``, which unpack into a law: ``ComputedTorque(**pid(bandwidth=hertz(4)))``. The achieved metrics are computed
+from the polynomials of the final loop. L is the loop of the design, in negative feedback:
 
 ================  =====================================  ==========================================================
 ``p``, ``pi``     1/(inertia s) (9.2-9.5)                s + kp;  s^2 + kp s + ki
@@ -62,7 +62,7 @@ def p(
     """Proportional gain on the integrator 1/(inertia s), laws 9.2 and 9.5: kp = w inertia, one pole at -w.
 
     Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] (all w here) and ``settling_time`` [s].
-    ``inertia``: scalar or array > 0. Raises ``BadArgument``: none or two of them asked, or a number that is not positive.
+    ``inertia``: scalar or array > 0. Raises ``BadArgument``: none or two of them given, or a number that is not positive.
     """
     return _design("p", _one_of(bandwidth, natural_frequency, crossover, settling_time), 1.0, inertia)
 
@@ -140,7 +140,7 @@ def joint_pid(
         bandwidth, natural_frequency, crossover, settling_time: exactly one, as for ``pid``; damping: 0.001 to 1000.
 
     Returns gains of shape (n,) [N m/rad, N m/(rad s), N m s/rad; N and m for prismatic joints]. Raises ``BadArgument`` as ``pid``, and for a q of
-    another shape or a reference without an end. Gravity, friction and coupling are not in the loop these gains are made for.
+    another shape or a reference without an end. The loop of the design leaves out gravity, friction and coupling.
     """
     inertia, smallest, where = _joint_inertia(robot, q)
     asked = _one_of(bandwidth, natural_frequency, crossover, settling_time)
@@ -169,9 +169,9 @@ def force_pi(
 
     .. math:: m T s^4 + (m + b T) s^3 + (b + k_{damp} + k_e T) s^2 + k_e (1 + k_{fp}) s + k_e k_{fi}
 
-    The polynomial is placed exactly: a pair (damping, w), a pole at -p, and with a lag a fourth pole that the lag dictates. Slow
-    loops take kfp = 0 and p < w (integral force control, the gentle choice on a stiff surface); where that is too slow, p = w and
-    kfp > 0. ``natural_frequency`` always asks for p = w. L is the loop at the force sensor, environment in place.
+    The poles are placed exactly: a pair (damping, w), a pole at -p, and with a lag a fourth pole that follows from the lag. Slow
+    loops take kfp = 0 and p < w (integral force control, suited to a stiff surface); where that is too slow, p = w and kfp > 0.
+    ``natural_frequency`` always means p = w. L is the loop at the force sensor, in contact with the environment.
 
     Args:
         bandwidth, natural_frequency, crossover, settling_time: exactly one, as the module defines them [rad/s, s].
@@ -179,7 +179,7 @@ def force_pi(
         friction: viscous, of the arm [N s/m] >= 0. damping: ratio of the pair, 0.001 to 1000.
 
     Returns gains that unpack into ``DampedForcePI(F_d, **gains)``. Raises ``BadArgument``: as ``pid``, and with the reason where no gains
-    >= 0 attain what is asked. Source: chapter, eqs. 9.22-9.23.
+    >= 0 meet the specification. Source: chapter, eqs. 9.22-9.23.
     """
     name, value = _one_of(bandwidth, natural_frequency, crossover, settling_time)
     k = checks.number("stiffness", stiffness, low=1e-9, high=1e12)
@@ -193,7 +193,7 @@ def force_pi(
     above = "any stiffness above it" if high == math.inf else f"{high:.4g} N/m, {high / k:.3g} times this stiffness"
     between = f"from a stiffness of {low:.4g} N/m to {above}" if low > 0 or high < math.inf else "on any stiffness"
     notes.append(f"with these gains stable {between}")
-    notes.append("in free space the speed ramps (kfi > 0): keep contact, or limit the time")
+    notes.append("in free space the velocity ramps (kfi > 0): keep contact, or limit the time")
     return Gains(
         {"kfp": found.kfp, "kfi": found.kfi, "kdamp": found.kdamp},
         {"kfp": "-", "kfi": "1/s", "kdamp": "N s/m"},
@@ -211,12 +211,12 @@ def cartesian_damping(robot: Robot, q: ArrayLike, stiffness: ArrayLike, ratio: A
 
     .. math:: \Lambda = Q Q^T, \quad K = Q \,\mathrm{diag}(w^2)\, Q^T, \quad D = 2 Q \,\mathrm{diag}(\zeta w)\, Q^T
 
-    so that Lambda x'' + D x' + K x = 0 falls into six modes, each of damping ratio ``ratio``.
+    so that Lambda x'' + D x' + K x = 0 decouples into six modes, each with damping ratio ``ratio``.
 
     Args:
         q: (n,) pose.
         stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, N m/rad], tool frame (linear, angular).
-        ratio: >= 0, scalar or (6,) in the order of rising modal frequency.
+        ratio: >= 0, scalar or (6,) in the order of increasing modal frequency.
 
     Returns ``DampingMatrix``: kp the (6, 6) stiffness, kd the (6, 6) damping [N s/m, N m s/rad]. Raises ``BadArgument``; ``NearSingular``
     where the robot has no task inertia. Source: Albu-Schaeffer, Ott, Frese, Hirzinger, ICRA 2003, "Cartesian impedance control of
@@ -277,7 +277,7 @@ def _polynomials(kind: str, gains: Mapping[str, float], inertia: float) -> tuple
 
 @lru_cache(maxsize=256)
 def _unit_metrics(kind: str, damping: float) -> LoopMetrics:
-    """Metrics of the loop whose natural frequency and inertia are 1: everything else is a change of time scale."""
+    """Metrics of the loop with natural frequency and inertia 1; all other loops differ by a time scale only."""
     return loop_metrics(*_polynomials(kind, {name: factor for name, (factor, _) in _FORMULAS[kind][2](damping).items()}, 1.0))
 
 
@@ -328,7 +328,7 @@ def _pair(kind: str, per: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _joint_inertia(robot: Robot, q: Any) -> tuple[Array, Array, str]:
-    """Largest and smallest M_jj, (n,) each, and a phrase that says where."""
+    """Largest and smallest M_jj, (n,) each, and the location in words."""
 
     def diagonal(poses: Array) -> Array:
         return np.array(np.diagonal(np.asarray(robot.mass(poses)), axis1=-2, axis2=-1))
@@ -352,7 +352,7 @@ def _joint_inertia(robot: Robot, q: Any) -> tuple[Array, Array, str]:
 
 
 def _refined(inertia: Callable[[float], Array], grid: Array, along: Array) -> Array:
-    """The maxima along the trajectory, sought between the neighbours of the largest samples."""
+    """The maxima along the trajectory, searched between the neighbours of the largest samples."""
     from scipy.optimize import minimize_scalar
 
     worst = along.max(axis=0)

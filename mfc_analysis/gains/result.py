@@ -1,4 +1,4 @@
-"""What a design helper returns: gains that unpack into a law, with their reason and what they achieve."""
+"""Result of a gain design: gains that unpack into a law, with their formula and the metrics they achieve."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Value = float | Array
 
 @dataclass(frozen=True, eq=False)
 class Achieved:
-    """What the loop with these gains does, measured on its polynomials; shape () or that of ``inertia``."""
+    """Metrics of the loop with these gains, computed from its polynomials; shape () or that of ``inertia``."""
 
     bandwidth: Value  #: [rad/s] -3 dB of T = L/(1 + L)
     crossover: Value  #: [rad/s] |L| = 1
@@ -42,15 +42,15 @@ class Achieved:
 
 @dataclass(frozen=True, eq=False)
 class Gains(Mapping[str, Any]):  # Any: ** must fit every parameter of a law, those that are no gains as well
-    """Gains that unpack into a law, with the reason for them. A mapping of the gains this design has, in SI units."""
+    """Gains that unpack into a law, with their derivation. A mapping of the gains of this design, in SI units."""
 
     gains: Mapping[str, Value]  #: the gains by the law's argument names
     units: Mapping[str, str]  #: unit of each gain
-    formula: str  #: how they follow from what was asked
-    definition: str  #: what was asked, and what it means
-    loop: str  #: the loop they were made for
-    achieved: Achieved | None  #: measured on that loop; None where the loop is a matrix
-    notes: tuple[str, ...] = field(default=())  #: what else to know, a sentence each
+    formula: str  #: the gains in terms of the specification
+    definition: str  #: the specification and its definition
+    loop: str  #: the loop of the design
+    achieved: Achieved | None  #: metrics of that loop; None where the loop is a matrix
+    notes: tuple[str, ...] = field(default=())  #: remarks, a sentence each
 
     def __getitem__(self, name: str) -> Any:
         return self.gains[name]
@@ -109,7 +109,7 @@ class Gains(Mapping[str, Any]):  # Any: ** must fit every parameter of a law, th
 
 
 class DampingMatrix(Gains, NDArrayOperatorsMixin):
-    """A stiffness ``kp`` and the damping matrix ``kd`` that goes with it; in numpy it behaves as that damping matrix, (6, 6)."""
+    """A stiffness ``kp`` and its damping matrix ``kd``; in numpy it behaves as the damping matrix, (6, 6)."""
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.array(self.gains["kd"], dtype=dtype)

@@ -1,7 +1,7 @@
-"""Metrics of one scalar loop L = num/den from its polynomials, without sampling a frequency axis.
+"""Metrics of one scalar loop L = num/den from its polynomials, without a frequency grid.
 
-Crossings are roots of polynomials in w^2, polished by Newton; the settling time is the last root of |1 - y(t)| = tolerance
-of the step response of T = L/(1 + L), by matrix exponentials, so that repeated poles do no harm.
+Crossings are roots of polynomials in w^2, polished by Newton. The settling time is the last root of |1 - y(t)| = tolerance
+for the step response of T = L/(1 + L), by matrix exponentials, so that repeated poles are allowed.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from mfc_analysis.maths.roots import root_between
 
 @dataclass(frozen=True, eq=False)
 class LoopMetrics:
-    """Metrics of T = L/(1 + L), L in negative feedback; ``inf`` where there is no such crossing, NaN throughout when T is unstable."""
+    """Metrics of T = L/(1 + L), L in negative feedback; ``inf`` where there is no such crossing, all NaN when T is unstable."""
 
     stable: bool
     bandwidth: float  #: [rad/s] lowest frequency where |T| falls to 1/sqrt(2) (-3 dB)
     crossover: float  #: [rad/s] highest frequency where |L| = 1
     phase_deg: float  #: [deg] phase margin at that crossover
     settling_time: float  #: [s] last time at which the step response of T is ``tolerance`` away from 1
-    tolerance: float = 0.02  #: of the settling time: 2 %
+    tolerance: float = 0.02  #: settling band: 2 %
 
 
 def loop_metrics(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle: bool = True) -> LoopMetrics:
@@ -75,7 +75,7 @@ def _settling(den: Array, closed: Array, tolerance: float) -> float:
     from scipy.linalg import expm
 
     if closed[-1] == 0 or abs(den[-1]) > 1e-12 * abs(closed[-1]):
-        return math.inf  # a steady error that never goes away
+        return math.inf  # a constant steady-state error
     k = closed.size - 1
     A = np.diag(np.ones(k - 1), -1)
     A[0] = -closed[1:] / closed[0]
