@@ -1,4 +1,4 @@
-"""All laws, by the number of their equation."""
+"""All laws, by equation number."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mfc_analysis.laws.law import Law
 from mfc_analysis.laws.task_torque import TaskComputedTorque
 from mfc_analysis.laws.velocity import TaskVelocity, VelocityFeedforward, VelocityFeedforwardPI, VelocityP, VelocityPI
 
-#: equation -> law; 9.12 is 9.10 for one joint, 9.13 what 9.11 leaves
+#: equation -> law; 9.12 is 9.10 for one joint, 9.13 the closed loop of 9.11
 LAWS: dict[str, type[Law]] = {
     "9.1": VelocityFeedforward,
     "9.2": VelocityP,
@@ -32,9 +32,9 @@ LAWS: dict[str, type[Law]] = {
 
 
 def by_equation(number: str) -> type[Law]:
-    """The class of the law with this equation number, like "9.10" (text: the number 9.10 is 9.1). Raises UnknownName, BadArgument."""
+    """The class of the law with this equation number, such as "9.10" (as text: the number 9.10 equals 9.1). Raises UnknownName, BadArgument."""
     if not isinstance(number, str):
-        raise BadArgument("number", number, 'the equation as text, like "9.10": the number 9.10 could not be told from 9.1')
+        raise BadArgument("number", number, 'the equation as text, such as "9.10": the number 9.10 equals 9.1')
     key = number.strip().removeprefix("eq").strip(" .()")
     if key not in LAWS:
         raise UnknownName("number", number, LAWS)

@@ -10,7 +10,7 @@ v_x, v_y, w_x, w_y          0 (the wall of the hole)      f_x, f_y, m_x, m_y
 f_z, m_z                    0 (nothing holds the peg)     v_z, w_z
 ==========================  ===========================================
 
-Twists the environment allows do no work on wrenches it can bear: V . F = v . f + w . m = 0 (9.17), whatever the frame.
+Twists the environment allows do no work on wrenches it can bear: V . F = v . f + w . m = 0 (9.17), in any frame.
 
 Sources: chapter, eqs. 9.17, 9.18, 9.24 and section 9.4.1; Lynch & Park, Modern Robotics, section 11.6;
 Siciliano et al., Robotics: Modelling, Planning and Control, section 9.4 (natural and artificial constraints).
@@ -43,16 +43,16 @@ class ConstraintSet:
 
     Args:
         natural: what the environment fixes, as ``{"vx": 0, ..., "fz": 0}`` over vx vy vz wx wy wz fx fy fz mx my mz of the
-            compliance frame, six in all and each 0 (or just their names). General form: a (6, r) matrix whose columns span
+            compliance frame: six components, each 0 (or only their names). General form: a (6, r) matrix whose columns span
             the twists left free.
-        artificial: reference values of the six others [m/s, rad/s, N, N m], 0 where omitted. General form: a (6, 6 - r)
+        artificial: reference values of the other six [m/s, rad/s, N, N m], 0 where omitted. General form: a (6, 6 - r)
             matrix whose columns span the wrenches the environment bears; omitted: all that are reciprocal to the twists.
         frame: (4, 4) pose of the compliance frame in the tool frame, or a Pinocchio SE3; default: the tool frame.
 
     Raises:
         BadArgument: an axis with both or neither of its motion and force constrained naturally, a natural value that is
             not 0, twists and wrenches that are not reciprocal or do not add up to rank 6, or ``frame`` not a pose.
-        UnknownName: a component that is none of the twelve.
+        UnknownName: a component that is not one of the twelve.
     """
 
     #: natural constraints by name, all 0 (empty in the general form)
@@ -88,7 +88,7 @@ class ConstraintSet:
 
     @property
     def reciprocity(self) -> float:
-        """Largest work of a free twist on a constraint wrench, both of length 1: 0 when V . F = 0 holds (9.17)."""
+        """Largest work of a free twist on a constraint wrench, both of unit length: 0 when V . F = 0 holds (9.17)."""
         return _work(self.twists, self.wrenches)
 
     @property
@@ -100,16 +100,16 @@ class ConstraintSet:
         """
         A = self.wrenches.T @ adjoint(inverse(self.frame))
         U, _, Vt = np.linalg.svd(A, full_matrices=False)
-        return _frozen(U @ Vt)  # the orthonormal rows nearest to A: rows that are orthonormal already stay as they are
+        return _frozen(U @ Vt)  # the orthonormal rows nearest to A: rows that are already orthonormal do not change
 
     @property
     def V_d(self) -> Array:
-        """(6,) twist asked for by the artificial constraints, in tool coordinates [m/s, rad/s]."""
+        """(6,) desired twist of the artificial constraints, in tool coordinates [m/s, rad/s]."""
         return _frozen(adjoint(self.frame) @ np.array([self.artificial.get(name, 0.0) for name in MOTION]))
 
     @property
     def F_d(self) -> Array:
-        """(6,) wrench asked for by the artificial constraints, in tool coordinates at the tool origin [N, N m]."""
+        """(6,) desired wrench of the artificial constraints, in tool coordinates at the tool origin [N, N m]."""
         return _frozen(adjoint(inverse(self.frame)).T @ np.array([self.artificial.get(name, 0.0) for name in FORCE]))
 
     def __repr__(self) -> str:
@@ -150,11 +150,11 @@ def surface_sliding(frame: object = None, force: float = 0.0) -> ConstraintSet:
 
 
 def projection(A: ArrayLike | ConstraintSet, Lambda: ArrayLike) -> Array:
-    r"""The dynamically consistent projector of 9.24: what of a wrench accelerates the tool along its free directions.
+    r"""The dynamically consistent projector of 9.24: the part of a wrench that accelerates the tool along its free directions.
 
     .. math:: P = I - A^T (A \Lambda^{-1} A^T)^{-1} A \Lambda^{-1}
 
-    P P = P, P A^T = 0 and A Lambda^-1 P = 0: no acceleration across the constraint. It does not depend on how the rows of A are scaled.
+    P P = P, P A^T = 0 and A Lambda^-1 P = 0: no acceleration along the rows of A. It does not depend on the scale of the rows.
 
     Args:
         A: (k, 6) independent rows with A V_b = 0, or a ``ConstraintSet``; k = 0 gives I.
@@ -178,13 +178,13 @@ def projection(A: ArrayLike | ConstraintSet, Lambda: ArrayLike) -> Array:
 
 
 def selection(A: ArrayLike | ConstraintSet) -> Array:
-    """The selection I - A^T A, (6, 6): the plain orthogonal projector on the free directions, for orthonormal rows.
+    """The selection I - A^T A, (6, 6): the orthogonal projector onto the free directions, for orthonormal rows.
 
     A: (k, 6) orthonormal rows, or a ``ConstraintSet``. Raises ``BadArgument`` when the rows are not orthonormal (to 1e-9).
     """
     rows = checked_rows(A, "A")
     if not np.allclose(rows @ rows.T, np.eye(rows.shape[0]), rtol=0, atol=1e-9):
-        raise BadArgument("A", A, "orthonormal rows for a selection (A A^T = I); take projection='dynamic' for others")
+        raise BadArgument("A", A, "orthonormal rows for a selection (A A^T = I); use projection='dynamic' for others")
     return np.eye(6) - rows.T @ rows
 
 
@@ -207,12 +207,12 @@ def _table(natural: Any, artificial: Any) -> tuple[Mapping[str, float], Mapping[
     for v, f in zip(MOTION, FORCE, strict=True):
         if (v in given) == (f in given):
             got = f"both {v} and {f}" if v in given else f"neither {v} nor {f}"
-            raise BadArgument("natural", got, "exactly one of motion and force on each of the six axes: V . F = 0, and the ranks add up to 6")
+            raise BadArgument("natural", got, "exactly one of motion and force on each of the six axes, so that V . F = 0 and the ranks add up to 6")
     complement = tuple(name for name in MOTION + FORCE if name not in given)
     chosen = dict.fromkeys(complement, 0.0) | _values("artificial", {} if artificial is None else artificial)
     for name in chosen:
         if name in given:
-            raise BadArgument("artificial", name, f"only what the environment leaves open: {', '.join(complement)}")
+            raise BadArgument("artificial", name, f"only components that the environment leaves free: {', '.join(complement)}")
     return MappingProxyType({name: 0.0 for name in MOTION + FORCE if name in given}), MappingProxyType({name: chosen[name] for name in complement})
 
 

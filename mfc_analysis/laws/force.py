@@ -13,12 +13,12 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.primitives import Primitives
 
-FORCE_INTEGRAL = Slot("z_f", WRENCH, trim=np.zeros((6, 0)))  #: the integral of F_e; an operating point leaves it at 0
+FORCE_INTEGRAL = Slot("z_f", WRENCH, trim=np.zeros((6, 0)))  #: the integral of F_e; it is 0 at an operating point
 FORCE_UNITS = {"kfp": "-", "kfi": "1/s", "kdamp": "Ns/m", "F_d": "N"}
 
 
 class ForceLaw(JointLaw):
-    """What the force laws share: F_d, force gains of six components, the force integral."""
+    """Common part of the force laws: F_d, force gains of six components, the force integral."""
 
     F_d: ArrayLike
     opens_at: ClassVar[tuple[str, ...]] = ("torque", "position", "force")
@@ -52,7 +52,7 @@ class OpenLoopForce(ForceLaw):
     Args:
         F_d: (6,) [N, Nm] wrench that the tool shall apply, tool frame.
 
-    A payload error makes a steady force error; nothing measures it.
+    There is no force feedback: a payload error causes a steady force error.
     """
 
     F_d: ArrayLike
@@ -73,7 +73,7 @@ class ForcePI(ForceLaw):
     Args:
         F_d: (6,) [N, Nm] in the tool frame; kfp: [-], kfi: [1/s]; scalar, (6,) or (6, 6).
 
-    With nothing to push against the arm accelerates away.
+    In free space the arm accelerates without bound.
     """
 
     F_d: ArrayLike

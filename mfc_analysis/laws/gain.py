@@ -1,4 +1,4 @@
-"""A gain: a scalar, a vector (diagonal) or a matrix, acting by ``@`` on plain and dual arrays alike. None contributes nothing."""
+"""A gain: a scalar, a vector (diagonal) or a matrix, which acts by ``@`` on plain and dual arrays. None is a zero gain."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from mfc_analysis.maths.dual import Dual, Vector, matvec
 
 
 class Gain:
-    """A gain named for messages. ``Gain("ki", None) @ x`` is 0, and ``bool(Gain("ki", None))`` is False.
+    """A gain with a name for messages. ``Gain("ki", None) @ x`` is 0, and ``bool(Gain("ki", None))`` is False.
 
-    In the body of a law it declares a field: ``kp: Gain`` must be given, ``ki: Gain = Gain()`` may be left out. The field takes a number, a
-    vector, a matrix, another gain or None, and holds a gain.
+    In the body of a law it declares a field: ``kp: Gain`` is required, ``ki: Gain = Gain()`` is optional. The field takes a number, a vector,
+    a matrix, another gain or None, and holds a gain.
 
     Raises:
         BadArgument: not finite, or neither a scalar, a vector nor a square matrix.
@@ -27,7 +27,7 @@ class Gain:
 
     def __init__(self, name: str = "", given: ArrayLike | Gain | None = None, *, required: bool = False) -> None:
         self.name = name
-        self.required = required  #: of a field: it has no default
+        self.required = required  #: True: the field has no default
         raw = given.array if isinstance(given, Gain) else given
         self.array: Array | None = None if raw is None else checks.array(name, raw)
         if self.array is not None and (self.array.ndim > 2 or (self.array.ndim == 2 and self.array.shape[0] != self.array.shape[1])):
@@ -46,7 +46,7 @@ class Gain:
         if law is not None:
             found: Gain = vars(law)[self.name]
             return found
-        if self.required:  # dataclasses take the answer of the class for the default
+        if self.required:  # dataclasses read the default from the class
             raise AttributeError(f"{self.name} has no default")
         return self
 

@@ -26,8 +26,8 @@ class HybridMotionForce(ToolLaw):
     .. math:: \tau = J_b^T\,(P\,\hat\Lambda(\tfrac{d}{dt}([Ad]V_d) + K_p X_e + K_i \int X_e + K_d V_e)
         + (1 - P)(F_d + K_{fp} F_e + K_{fi} \int F_e - K_{damp} V) + \hat\eta)
 
-    The page has no damping in the force directions, so with kfi > 0 an undamped wall is unstable whatever its stiffness;
-    ``kdamp`` repairs it. X_e is not projected first: an error along a constrained axis leaks into motion.
+    The page has no damping in the force directions, so with kfi > 0 the loop on an undamped wall is unstable at any stiffness;
+    ``kdamp`` adds damping. X_e is not projected first: an error along a constrained axis leaks into the motion.
 
     Args:
         F_d: (6,) [N, Nm] tool frame. kp [1/s^2], ki [1/s^3], kd [1/s], kfp [-], kfi [1/s], kdamp [Ns/m, Nms/rad]: scalar, (6,) or (6, 6).
@@ -35,7 +35,7 @@ class HybridMotionForce(ToolLaw):
         projection: "dynamic": P = 1 - A^T (A Lambda^-1 A^T)^-1 A Lambda^-1; "selection": 1 - A^T A, orthonormal rows only.
         form: "standard"; "printed": eta inside (1 - P), V_d' and X_e' as on the page; "printed_eta": only eta misplaced.
 
-    On a redundant arm the whole of h^ is compensated (J^T eta = h - J^T Lambda J' v), so the null space is only as damped as the plant.
+    On a redundant arm all of h^ is compensated (J^T eta = h - J^T Lambda J' v), so the null space has the damping of the plant only.
     """
 
     F_d: ArrayLike
@@ -81,7 +81,7 @@ class HybridMotionForce(ToolLaw):
             raise BadArgument("law", f"HybridMotionForce on {n} joints", "an arm of six joints or more: Lambda needs a J of full rank")
 
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
-        """z and z_f, as far as ki and kfi are given."""
+        """z and z_f, where ki and kfi are given."""
         motion = (Slot("z", TWIST),) if self.ki else ()
         return (*motion, FORCE_INTEGRAL) if self.kfi else motion
 

@@ -47,7 +47,7 @@ class TorqueFeedforward(JointLaw):
     r"""Feedforward torque only: equation 9.9, :math:`\tau = \hat M(q_d) \ddot q_d + \hat h(q_d, \dot q_d)`.
 
     ``form="printed"``: the page writes the acceleration of the *error*, tau = M^(q_d)(q_d'' - q'') + h^(q_d, v_d): an
-    algebraic loop, solved with q'' inside, that changes the inertia to M + M^.
+    algebraic loop, solved together with q'', that changes the inertia to M + M^.
     """
 
     form: Literal["standard", "printed"] = "standard"
@@ -68,7 +68,7 @@ class TorqueFeedforward(JointLaw):
         return self.form == "printed"
 
     def acceleration_torque(self, model: Primitives, ref: JointReference, a: Vector) -> Vector:
-        """M^(q_d) a (..., n): what the printed form subtracts for the measured acceleration a."""
+        """M^(q_d) a (..., n): the torque that the printed form subtracts for the measured acceleration a."""
         return model.mass(ref.q, a)
 
 
@@ -128,7 +128,7 @@ class InverseDynamics(JointLaw):
 
     .. math:: u = \hat M(q)\,a_q + \hat C \dot q + \hat g,\quad a_q = a_d + \mathrm{outer}(e)
 
-    With an exact model nothing is left but q'' = a_q: n decoupled double integrators.
+    With an exact model q'' = a_q: n decoupled double integrators.
 
     Args:
         outer: e -> a_q [1/s^2]: a proper continuous python-control LTI system (SISO: one copy for each joint; or n x n), or
@@ -162,7 +162,7 @@ class InverseDynamics(JointLaw):
             object.__setattr__(self, name, Gain(name, given.get(name)))
         object.__setattr__(self, "system", system)
 
-    def __getstate__(self) -> dict[str, Any]:  # a control system doesn't pickle; its matrices do
+    def __getstate__(self) -> dict[str, Any]:  # a control system does not pickle; its matrices do
         return vars(self) if self.system is None else {**vars(self), "outer": self.system}
 
     def gains(self) -> dict[str, Gain]:
@@ -192,7 +192,7 @@ class InverseDynamics(JointLaw):
         return A, B, C, D
 
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
-        """z of the PID, or the states of the LTI outer loop; of these the integrators are trimmed."""
+        """z of the PID, or the states of the LTI outer loop, of which the integrators are trimmed."""
         if self.system is None:
             return super().slots(joints)
         A = self.matrices(len(joints))[0]

@@ -1,11 +1,11 @@
-"""What every law offers to the loop: its equation, its states, where it can be opened, and its action.
+"""The interface of a law to the loop: its equation, its states, its analysis points and its action.
 
-A law is a value. ``act`` is pure: the equation of the chapter, over the primitives of the controller's own model, for plain
-and dual arrays alike. States of the loop (integrals, an LTI outer loop) come in by ``Measured`` and their rates go out by
-``Action``; nothing is stored in the law.
+A law is a value. ``act`` is pure: the equation of the chapter, written over the primitives of the controller's model, for
+both plain and dual arrays. States of the loop (integrals, an LTI outer loop) enter through ``Measured`` and their rates leave
+through ``Action``; the law stores nothing.
 
-What the loop must know of a law stands here as an attribute or a hook; nobody asks for its equation's number, so a law of one's own is
-judged like the chapter's.
+All properties of a law that the loop uses are attributes or hooks here. No code depends on the equation number, so that a user-defined law
+is treated like those of the chapter.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mfc_analysis.maths.dual import Vector
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.primitives import Primitives
 
-#: names a wire: returns what goes on behind it (the same signal, unless the wire is cut)
+#: names a wire and returns the signal after it (the same signal, unless the wire is cut)
 Tap = Callable[[str, Vector], Vector]
 
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -36,7 +36,7 @@ AnyLaw = TypeVar("AnyLaw", bound="Law")
 
 @dataclass_transform(eq_default=False, field_specifiers=(field,))
 def define(cls: type[AnyLaw]) -> type[AnyLaw]:
-    """Decorator of a class of laws: a frozen dataclass, compared by identity, whose ``Gain`` fields take whatever a gain can be made of."""
+    """Decorator of a law class: a frozen dataclass, compared by identity, whose ``Gain`` fields take any value that ``Gain`` accepts."""
     return dataclass(frozen=True, eq=False)(cls)
 
 
@@ -45,13 +45,13 @@ class Slot(NamedTuple):
 
     name: str  #: "z", "z_f", "outer"
     channels: tuple[str, ...]
-    integral: bool = True  #: an integral of an error: dropped where it acts on nothing
-    #: (k, r) directions of the k states that an operating point sets, so that the command is what the motion needs; None: all those of an integral
+    integral: bool = True  #: True: an integral of an error, dropped where it acts on nothing
+    #: (k, r) directions of the k states that an operating point trims, so that the command fits the motion; None: all of an integral
     trim: Array | None = None
 
     @property
     def trimmed(self) -> Array:
-        """(k, r) the directions that an operating point sets."""
+        """(k, r) directions that an operating point trims."""
         if self.trim is not None:
             return self.trim
         return np.eye(len(self.channels)) if self.integral else np.zeros((len(self.channels), 0))
@@ -59,7 +59,7 @@ class Slot(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JointReference:
-    """Desired joint motion and tool force at the evaluated times."""
+    """Desired joint motion and tool force at the evaluation times."""
 
     q: Vector  #: (..., n)
     v: Vector
@@ -69,7 +69,7 @@ class JointReference:
 
 @dataclass(frozen=True, eq=False)
 class ToolReference:
-    """Desired tool motion and force at the evaluated times."""
+    """Desired tool motion and force at the evaluation times."""
 
     X: Pose
     V: Vector  #: (..., 6) body twist of the reference, in its own frame
@@ -79,7 +79,7 @@ class ToolReference:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What the law sees: measured signals and its own states."""
+    """Inputs of a law: measured signals and its own states."""
 
     q: Vector  #: (..., n)
     v: Vector  #: (..., n)
@@ -91,7 +91,7 @@ class Measured:
 
 
 class Action(NamedTuple):
-    """What the law commands and how its states move."""
+    """Outputs of a law: command, rates of its states and error."""
 
     command: Vector  #: torque or joint velocity (..., n)
     rates: Mapping[str, Vector]  #: slot -> rate
@@ -99,14 +99,14 @@ class Action(NamedTuple):
 
 
 class Law(ABC):
-    """Base of all laws: derive from ``JointLaw`` or ``ToolLaw``, decorated by ``define``."""
+    """Base class of all laws. Derive from ``JointLaw`` or ``ToolLaw`` and decorate with ``define``."""
 
     equation: ClassVar[str]  #: number in the chapter, for the reader
     plant: ClassVar[Literal["velocity", "torque"]] = "torque"
     space: ClassVar[Literal["joint", "tool"]] = "joint"
     opens_at: ClassVar[tuple[str, ...]] = ("torque", "position")
     senses_force: ClassVar[bool] = False
-    follows_motion: ClassVar[bool] = True  #: False: its reference is a Hold, and a step of it is a step of F_d
+    follows_motion: ClassVar[bool] = True  #: False: the reference is a Hold, and a reference step is a step of F_d
     forms: ClassVar[tuple[str, ...]] = ("standard",)
     sources: ClassVar[tuple[str, ...]] = (
         "Lynch & Park, Modern Robotics, ch. 11",
@@ -114,7 +114,7 @@ class Law(ABC):
     )
     typst: ClassVar[str] = ""  #: the equation, as Typst math
     units: ClassVar[Mapping[str, str]] = {}  #: gain -> unit
-    damping: float = 0.0  #: [-] of the inverse of J, where the law has one; 0: refused near a singularity
+    damping: float = 0.0  #: [-] of the inverse of J, where the law has one; 0: raises NearSingular near a singularity
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -125,10 +125,10 @@ class Law(ABC):
 
     @abstractmethod
     def act(self, model: Primitives, now: Measured, ref: Any, tap: Tap) -> Action:
-        """The law: command, rates of its states and error, from the controller's model and what is measured."""
+        """The law: command, rates of its states and error, from the controller's model and the measured signals."""
 
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
-        """The law's own states, for an arm with these joints."""
+        """The states of the law, for an arm with these joints."""
         if not self.gains().get("ki"):
             return ()
         return (Slot("z", joints if self.space == "joint" else TWIST),)
@@ -157,33 +157,33 @@ class Law(ABC):
 
     @property
     def chosen_form(self) -> str:
-        """Which of ``forms`` this is: its field ``form``, where the law has one."""
+        """The selected one of ``forms``: the field ``form``, where the law has one."""
         return str(vars(self).get("form", "standard"))
 
-    # --- what the loop asks ----------------------------------------------------------------------------------------
+    # --- properties used by the loop -------------------------------------------------------------------------------
 
     @property
     def desired_wrench(self) -> Array | None:
-        """(6,) F_d [N, Nm], tool frame, of a law that asks for a force; None: the law asks for none."""
+        """(6,) F_d [N, Nm], tool frame, of a law with a force reference; None: no force reference."""
         return None
 
     @property
     def force_directions(self) -> Array | None:
-        """(k, 6) rows of the directions, tool frame, in which a tool law controls the force and not the motion; None: nowhere."""
+        """(k, 6) rows of the directions, tool frame, in which a tool law controls the force and not the motion; None: none."""
         return None
 
     @property
     def joint_by_joint(self) -> bool:
-        """True where the law is n separate loops as long as its gains are diagonal and the joints don't couple."""
+        """True where the law is n separate loops, if its gains are diagonal and the joints are not coupled."""
         return self.space == "joint" and self.follows_motion
 
     @property
     def needs_acceleration(self) -> bool:
-        """True where ``acceleration_torque`` is part of the law: an algebraic loop, solved with q'' inside."""
+        """True where ``acceleration_torque`` is part of the law: an algebraic loop, solved together with q''."""
         return False
 
     def acceleration_torque(self, model: Primitives, ref: JointReference, a: Vector) -> Vector:
-        """(..., n) linear in a: what the law takes off its command for the measured acceleration a (..., n). Raises Unsupported without any."""
+        """(..., n) torque, linear in a, that the law subtracts for the measured acceleration a (..., n). Raises Unsupported without any."""
         raise Unsupported("law", type(self).__name__, "a law that needs the acceleration")
 
     def __str__(self) -> str:
@@ -199,7 +199,7 @@ class JointLaw(Law):
 
     @abstractmethod
     def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
-        """The law: command, rates of its states and error, from the controller's model and what is measured."""
+        """The law: command, rates of its states and error, from the controller's model and the measured signals."""
 
 
 class ToolLaw(Law):
@@ -209,4 +209,4 @@ class ToolLaw(Law):
 
     @abstractmethod
     def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:
-        """The law: command, rates of its states and error, from the controller's model and what is measured."""
+        """The law: command, rates of its states and error, from the controller's model and the measured signals."""

@@ -38,16 +38,16 @@ class TaskComputedTorque(ToolLaw):
 
     .. math:: \tau = J_b^T\,(\hat\Lambda(\tfrac{d}{dt}([Ad]V_d) + K_p X_e + K_i \int X_e + K_d V_e) + \hat\eta)
 
-    computed as tau = M^ (J^#(command - J' v) + null-space damping) + h^, which is the same on a square J and also serves
-    redundant arms. ``form="printed"``: V_d' and X_e' as on the page; they differ at first (X_e') and second order on a moving path.
+    computed as tau = M^ (J^#(command - J' v) + null-space damping) + h^, which is equal for a square J and also holds for
+    redundant arms. ``form="printed"``: V_d' and X_e' as printed; on a moving path they differ at first (X_e') and second order.
 
     Args:
         kp: [1/s^2], ki: [1/s^3], kd: [1/s]; scalar, (6,) or (6, 6) on (linear, angular) in the tool frame.
         mass: a constant (n, n) joint mass matrix [kg m^2] instead of M^(q).
         null_damping: [1/s] on joint motion that does not move the tool (redundant arms).
-        damping: [-] of the inverse of J; 0 refuses near a singularity.
+        damping: [-] of the inverse of J; 0: raises NearSingular near a singularity.
 
-    Closed form: exact model and scalar gains leave six copies of s^3 + kd s^2 + kp s + ki in error coordinates (X_e, V_e, z).
+    Closed form: with an exact model and scalar gains, six times s^3 + kd s^2 + kp s + ki in error coordinates (X_e, V_e, z).
     """
 
     kp: Gain

@@ -23,7 +23,7 @@ class _JointVelocity(JointLaw):
 class VelocityFeedforward(_JointVelocity):
     r"""Open-loop velocity: equation 9.1, :math:`u = \dot q_d`.
 
-    The page prints q_d for its derivative. The error is a pure integrator: it stays what it was, a velocity disturbance integrates.
+    The page prints q_d for its derivative. The error is a pure integrator: it stays constant, and a velocity disturbance integrates.
     """
 
     equation = "9.1"
@@ -92,7 +92,7 @@ class VelocityFeedforwardPI(_JointVelocity):
     Args:
         kp: [1/s], ki: [1/s^2]; scalar, (n,) or (n, n); ki None: no integral.
 
-    Closed form: e'' + kp e' + ki e = 0 whatever q_d.
+    Closed form: e'' + kp e' + ki e = 0 for any q_d.
     """
 
     kp: Gain
@@ -116,11 +116,11 @@ class TaskVelocity(ToolLaw):
     Args:
         kp: [1/s], ki: [1/s^2]; scalar, (6,) or (6, 6), on (linear, angular) in the tool frame.
         form: "standard"; "printed": X_e = X_d - X as the page writes it, taken in the tool frame: the (linear, angular) part
-            of X^-1 (X_d - X), whose angular part is sin(angle) times the axis; "no_adjoint": V_d without [Ad] (a common slip),
+            of X^-1 (X_d - X), whose angular part is sin(angle) times the axis; "no_adjoint": V_d without [Ad] (a common mistake),
             which couples the error by -ad(V_d) X_e at first order.
-        damping: [-] of the inverse of J; 0 refuses near a singularity.
+        damping: [-] of the inverse of J; 0: raises NearSingular near a singularity.
 
-    Closed form: for Kp = k I and no Ki, X_e' = -k X_e exactly, however large below pi.
+    Closed form: for Kp = k I and no Ki, X_e' = -k X_e exactly, for any rotation below pi.
     """
 
     kp: Gain
@@ -148,7 +148,7 @@ class TaskVelocity(ToolLaw):
 
 
 def difference(E: Pose) -> Vector:
-    """The page's X_d - X seen from the tool: the se(3) part of E - 1 with E = X^-1 X_d, (position, sin(angle) axis)."""
+    """The printed X_d - X in tool coordinates: the se(3) part of E - 1 with E = X^-1 X_d, (position, sin(angle) axis)."""
     R = E.R
     axis = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
     if E.twist is None:
