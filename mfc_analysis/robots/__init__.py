@@ -1,4 +1,4 @@
-"""Robots: the wrapper of Pinocchio and the catalogue. The only room that imports Pinocchio."""
+"""Robots: the wrapper of Pinocchio and the catalogue. No other package imports Pinocchio."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""From a Pinocchio model to one that can be analysed: locked joints, the tool frame, the order of joints, and what is refused."""
+"""From a Pinocchio model to one that can be analysed: locked joints, tool frame, joint order, and checks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mfc_analysis.maths.arrays import Array
 
 Locked = str | Sequence[str] | Mapping[str, float] | None
 
-_USUAL_TOOL = "tool0"  # ROS-Industrial's name of the flange, where several leaves of a chain are equal
+_USUAL_TOOL = "tool0"  # ROS-Industrial's name of the flange, preferred among several leaves of a chain
 _SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit diagonal, below which it counts as singular
 
 
@@ -26,9 +26,9 @@ def movable_joints(model: pin.Model) -> tuple[str, ...]:
 
 
 def lock(model: pin.Model, locked: Locked) -> pin.Model:
-    """A copy of the model with these joints welded: names at 0, or ``{name: value}`` [rad or m].
+    """A copy of the model with these joints locked: names at 0, or ``{name: value}`` [rad or m].
 
-    Raises ``UnknownName`` for a joint that isn't there, ``BadArgument`` for a value that is not a finite number.
+    Raises ``UnknownName`` for an unknown joint, ``BadArgument`` for a value that is not a finite number.
     """
     if locked is None:
         return pin.Model(model)
@@ -44,7 +44,7 @@ def lock(model: pin.Model, locked: Locked) -> pin.Model:
             raise UnknownName("locked", name, movable_joints(model))
         joint = model.joints[model.getJointId(name)]
         if joint.nv != 1:
-            raise BadRobot(f"joint {name!r} has {joint.nv} degrees of freedom: only joints of one can be locked")
+            raise BadRobot(f"joint {name!r} has {joint.nv} degrees of freedom: only joints with one can be locked")
         angle = checks.number(f"locked[{name!r}]", value)
         q[joint.idx_q : joint.idx_q + joint.nq] = angle if joint.nq == 1 else (np.cos(angle), np.sin(angle))
         ids.append(model.getJointId(name))
@@ -52,7 +52,7 @@ def lock(model: pin.Model, locked: Locked) -> pin.Model:
 
 
 def _reduced(model: pin.Model, ids: list[int], q: Array) -> pin.Model:
-    """Pinocchio's reduced model. It refuses a joint that shares its name with a link, so such joints have another name on the way."""
+    """Pinocchio's reduced model. It rejects a joint that shares its name with a link; such joints are renamed meanwhile."""
     model = pin.Model(model)
     count = Counter(f.name for f in model.frames)
     real = {f"joint {i} of {name}": name for i, name in enumerate(model.names) if i > 0 and count[name] > 1}
@@ -69,7 +69,7 @@ def _reduced(model: pin.Model, ids: list[int], q: Array) -> pin.Model:
 
 
 def check_joints(model: pin.Model, mimic: Iterable[str] = ()) -> None:
-    """Raise ``BadRobot`` unless every joint has one degree of freedom, moves on its own, and there is at least one."""
+    """Raises ``BadRobot`` unless there is at least one joint, and every joint has one degree of freedom and mimics no other."""
     if model.njoints < 2:
         raise BadRobot(f"robot {model.name!r} has no joint that moves")
     for name, joint in zip(model.names[1:], list(model.joints)[1:], strict=True):
@@ -79,15 +79,15 @@ def check_joints(model: pin.Model, mimic: Iterable[str] = ()) -> None:
         if joint.nv != 1:
             raise BadRobot(
                 f"joint {name!r} ({kind}) has {joint.nv} degrees of freedom: "
-                "this library takes fixed bases and joints of one; replace it by such joints, or remove it"
+                "this library takes fixed bases and joints with one; replace it by such joints, or remove it"
             )
     still = [name for name in mimic if name in movable_joints(model)]
     if still:
-        raise BadRobot(f"joint {still[0]!r} mimics another one, which a tree of free joints cannot express: lock it, with locked={still!r}")
+        raise BadRobot(f"joint {still[0]!r} mimics another one, which is not supported: lock it, with locked={still!r}")
 
 
 def check_masses(model: pin.Model) -> None:
-    """Raise ``BadRobot`` naming the joint where the mass matrix is singular, not positive or not finite."""
+    """Raises ``BadRobot``, which names the joint, where the mass matrix is singular, not positive or not finite."""
     for name, body in zip(model.names, model.inertias, strict=True):
         if not (np.isfinite(body.mass) and np.isfinite(body.inertia).all() and np.isfinite(body.lever).all()):
             raise BadRobot(f"the body moved by joint {name!r} has an inertia that is not finite")
@@ -96,7 +96,7 @@ def check_masses(model: pin.Model) -> None:
     data = model.createData()
     rng = np.random.default_rng(9)
     best, worst, diagonal = -np.inf, np.inf, np.full(model.nv, -np.inf)
-    for _ in range(4):  # a regular robot may be singular at one pose, not at four
+    for _ in range(4):  # a valid mass matrix may be singular at one configuration, not at four
         M = upper_to_full(pin.crba(model, data, _configuration(model, rng.uniform(-2.0, 2.0, model.nv))))
         diagonal = np.maximum(diagonal, np.diag(M))
         scale = np.sqrt(np.maximum(np.diag(M), 1e-300))
@@ -108,9 +108,7 @@ def check_masses(model: pin.Model) -> None:
             f"joint {empty[0]!r} moves no mass (its effective inertia is {float(diagonal.min()):.3g}): give its link mass and inertia, or lock it"
         )
     if best < _SINGULAR or worst < -_SINGULAR:
-        raise BadRobot(
-            f"the mass matrix of {model.name!r} is not positive definite: a link has no inertia about an axis that moves it, or a negative one"
-        )
+        raise BadRobot(f"the mass matrix of {model.name!r} is not positive definite: a link has zero or negative inertia about its axis of motion")
 
 
 def frame_id(model: pin.Model, name: str) -> int:
@@ -123,10 +121,10 @@ def frame_id(model: pin.Model, name: str) -> int:
 
 
 def default_tool(whole: pin.Model, model: pin.Model) -> str:
-    """The last link of the chain: the only leaf that every joint moves; ``tool0`` among several.
+    """The last link of the chain: the only leaf that every joint moves, or ``tool0`` among several.
 
-    The leaves are those of the ``whole`` model, before joints were locked (Pinocchio's reduced model loses track of which frame carries which).
-    Raises ``BadArgument`` listing the leaves where that is ambiguous.
+    The leaves are those of the ``whole`` model, before joints are locked (Pinocchio's reduced model does not keep the parents of frames).
+    Raises ``BadArgument``, which lists the leaves, where the choice is ambiguous.
     """
     carrying = {f.parentFrame for i, f in enumerate(whole.frames) if f.parentFrame != i}
     last = {f.name for i, f in enumerate(whole.frames) if i > 0 and f.type == pin.FrameType.BODY and i not in carrying}
@@ -164,7 +162,7 @@ def joint_order(model: pin.Model, joints: Sequence[str] | None) -> NDArray[np.in
 
 
 def body(mass: float, com: Array, inertia: Array) -> pin.Inertia:
-    """Pinocchio's inertia of a body, inertia about the com; its constructor would refuse a smallest eigenvalue of -1e-18, which is rounding."""
+    """Pinocchio's inertia of a body, about the com. Its constructor rejects an eigenvalue of -1e-18, which is rounding error."""
     out = pin.Inertia.Zero()
     out.mass, out.lever, out.inertia = mass, np.array(com, float), np.array(inertia, float)
     return out
@@ -186,7 +184,7 @@ def rotational_inertia(inertia: ArrayLike) -> Array:
 
 
 def upper_to_full(M: Array) -> Array:
-    """The symmetric matrix whose upper triangle Pinocchio filled."""
+    """The symmetric matrix from the upper triangle that Pinocchio fills."""
     return np.asarray(np.triu(M) + np.triu(M, 1).T)
 
 

@@ -30,21 +30,21 @@ def single_joint(inertia: float = 0.5, mass: float = 1.0, com_distance: float = 
     r"""One revolute joint in a vertical plane, equation 9.6: :math:`I\ddot\theta + m g r\cos\theta + b\dot\theta = \tau`.
 
     The angle is measured from the horizontal; the link lies along x, gravity along -y, the joint turns about z.
-    The tool ends the link, at twice ``com_distance``.
+    The tool is at the end of the link, at twice ``com_distance``.
 
     Args:
         inertia: I [kg m^2] > 0 about the axis of rotation (M is this number). mass: m [kg] >= 0. com_distance: r [m] from the axis, >= 0.
-        damping: b [N m s/rad], viscous joint friction. gravity: [m/s^2] along -y; 0 lays the plane flat.
+        damping: b [N m s/rad], viscous joint friction. gravity: [m/s^2] along -y; 0 for a horizontal plane.
 
-    Warns where inertia < mass com_distance^2, which no body has (the equation still holds).
+    Warns where inertia < mass com_distance^2, which is not physical (the equation still holds).
     """
     inertia = checks.number("inertia", inertia, low=0.0, strict=True)
     mass, r = checks.number("mass", mass, low=0.0), checks.number("com_distance", com_distance, low=0.0)
     about_com = inertia - mass * r * r
     if about_com < 0:
-        text = f"inertia={inertia:g} kg m^2 about the axis is less than mass com_distance^2 = {mass * r * r:g}: no body has that"
+        text = f"inertia={inertia:g} kg m^2 about the axis is less than mass com_distance^2 = {mass * r * r:g}, which is not physical"
         warnings.warn(text, MfcWarning, stacklevel=2)
-        link = _flat((mass * r) ** 2 / inertia, (inertia / (mass * r), 0, 0), 0.0)  # a point mass with this inertia and this weight's moment
+        link = _flat((mass * r) ** 2 / inertia, (inertia / (mass * r), 0, 0), 0.0)  # a point mass with this inertia and gravity moment
     else:
         link = _flat(mass, (r, 0, 0), about_com)
     model = _planar("single_joint", gravity)
@@ -70,7 +70,7 @@ def rp(masses: ArrayLike = (4.0, 1.0), inertias: ArrayLike = (0.1, 0.02), com_di
     r"""A revolute and a prismatic joint in the vertical x-y plane, q = (theta, d), tool at d (cos theta, sin theta, 0).
 
     Link 1 turns about z and has its com at ``com_distance`` along the arm; link 2 slides along the arm and has its com at the tool. So
-    M = diag(I1 + m1 r^2 + I2 + m2 d^2, m2): diagonal, and yet coupled through C and g. Gravity is along -y, and 0 lays the plane flat.
+    M = diag(I1 + m1 r^2 + I2 + m2 d^2, m2) is diagonal, but C and g couple the joints. Gravity is along -y; 0 for a horizontal plane.
 
     Args:
         masses: (m1, m2) [kg]. inertias: (I1, I2) [kg m^2] about the coms, axis z. com_distance: r [m]. gravity: [m/s^2].
@@ -92,8 +92,8 @@ def planar_2r(gravity: float = EARTH) -> Robot:
     r"""Siciliano's two-link arm in the vertical x-y plane, motors included; gravity along -y.
 
     a = 1 m, l = 0.5 m, m_l = 50 kg, I_l = 10 kg m^2 for both links; motors of 5 kg and 0.01 kg m^2 behind gears of 100, the second
-    carried at the elbow. M(q) and g(q) are the book's, exactly: with its term k_r I_m of the second rotor that couples the joints. In a
-    plane that term is what a body of inertia k_r I_m fixed to link 2 would add, less as much armature on both joints, and so it is modelled.
+    carried at the elbow. M(q) and g(q) are exactly those of the book, with the term k_r I_m of the second rotor that couples the joints. The
+    model has this term as a body of inertia k_r I_m fixed to link 2, minus the same armature on both joints; in a plane this is equal.
 
     Source: Siciliano et al., Robotics: Modelling, Planning and Control, section 7.3.2 and example 7.2 (equations of motion, numbers).
     """
@@ -161,8 +161,8 @@ def ur5() -> Robot:
 
     Kinematics (a = -0.425, -0.39225; d = 0.089159, 0.10915, 0.09465, 0.0823 m; ``d4`` is 0.13585 - 0.1197 + 0.093 m) and inertias (a
     cylinder for each link) are those of ROS-Industrial's ur_description, so M and h equal those of ``load("ur5")``. Its wrist cylinders
-    have a radius of 0.6 m, where the arm's own is near 0.06 m: the wrist inertias, 0.11 to 0.22 kg m^2, are too large by it. They are kept,
-    so that results compare with other tools.
+    have a radius of 0.6 m, where the arm has about 0.06 m, so that the wrist inertias, 0.11 to 0.22 kg m^2, are too large. They are kept so
+    that results agree with other tools.
 
     Source: ROS-Industrial universal_robot, ur_description (ur5.urdf); Universal Robots, DH parameters for calculations of kinematics and dynamics.
     """
@@ -178,7 +178,7 @@ def _numbered(pattern: str, count: int, first: int = 1) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Entry:
-    """Where an arm of example-robot-data is, its tool (None: the last link), and the joints that move (None: all); the others are locked at 0."""
+    """An arm of example-robot-data: its file, its tool (None: the last link) and its moving joints (None: all). The others are locked at 0."""
 
     path: str
     tool: str | None = None
@@ -227,22 +227,22 @@ _ARMS: dict[str, _Entry] = {
     "z1": _Entry("z1_description/urdf/z1.urdf", "gripperStator", _numbered("joint{}", 6)),
 }
 _ALIASES = {"baxter": "baxter_right", "borinot": "borinot_arm", "hextilt": "hextilt_arm", "pr2": "pr2_right", "talos_arm": "talos_left_arm"}
-#: the robots that need no file, by name
+#: robots without a file, by name
 EMBEDDED: dict[str, Callable[..., Robot]] = {"single_joint": single_joint, "slider": slider, "rp": rp, "planar_2r": planar_2r, "ur5": ur5}
 
 
 def names() -> tuple[str, ...]:
-    """Names that :func:`load` takes: the embedded robots and the arms of example-robot-data, whether or not that is installed."""
+    """Names that :func:`load` takes: the embedded robots and the arms of example-robot-data, installed or not."""
     return tuple(sorted({*EMBEDDED, *_ARMS}))
 
 
 def load(name: str, tool: str | None = None, locked: Locked = None) -> Robot:
-    """An arm of the optional example-robot-data by name, or an embedded robot (``"ur5"`` is the file's; ``ur5()`` the embedded one).
+    """An arm of the optional example-robot-data by name, or an embedded robot (``"ur5"`` loads the file; ``ur5()`` is embedded).
 
     Args:
-        name: one of :func:`names`. tool: a link or frame; None: the arm's flange or hand (``robot.tool``).
-        locked: joints to weld, names or ``{name: value}`` [rad or m]; None: fingers, head, torso, wheels, the other arm: whatever is not the arm,
-            at 0. Naming some keeps only those locked (``[]``: none).
+        name: one of :func:`names`. tool: a link or frame; None: the flange or hand of the arm (``robot.tool``).
+        locked: joints to lock, names or ``{name: value}`` [rad or m]; None: all joints outside the arm (fingers, head, torso, wheels, the
+            other arm), at 0. If given, only these are locked (``[]``: none).
 
     Raises ``UnknownName``; ``MissingRobots`` (a ``ValueError``) where example-robot-data is not installed.
     """
@@ -264,7 +264,7 @@ def load(name: str, tool: str | None = None, locked: Locked = None) -> Robot:
 
 
 def robot_named(name: str, tool: str | None = None) -> Robot:
-    """The robot of a URDF file, or the embedded or loadable one of a name. Raises UnknownName, BadRobot, BadArgument."""
+    """The robot of a URDF file, or the embedded or loadable robot of this name. Raises UnknownName, BadRobot, BadArgument."""
     if Path(name).suffix or Path(name).exists():
         return Robot.from_urdf(Path(name), tool=tool)
     if name in EMBEDDED and tool is None:
@@ -279,7 +279,7 @@ def _changed(robot: Robot, tool: str | None, locked: Locked) -> Robot:
 
 
 class MissingRobots(MfcError, ValueError):
-    """The robot files of example-robot-data are not there."""
+    """The robot files of example-robot-data are not installed."""
 
     def __init__(self, name: str, why: str) -> None:
         self.name = name
@@ -302,7 +302,7 @@ def _data_folder(name: str) -> Path:
     raise MissingRobots(name, missing)
 
 
-# --- inside --------------------------------------------------------------------------------------------------------------
+# --- construction --------------------------------------------------------------------------------------------------------
 
 
 def _planar(name: str, gravity: float) -> pin.Model:

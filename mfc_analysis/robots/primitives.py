@@ -1,8 +1,8 @@
-"""What a law is written with: rnea, aba, M x, g, J x, J^T f, J^-1 x, Lambda x, for plain and dual arrays, many points at once.
+"""The functions that laws are written in: rnea, aba, M x, g, J x, J^T f, J^-1 x, Lambda x, for plain and dual arrays, in batches.
 
-Each primitive acts on vectors and carries its own exact derivative: Pinocchio's analytic ones for the dynamics, brackets of
-the body Jacobian's columns for the kinematics (column j of d J_i / d q_j is [J_i, J_j] for j after i on the chain), and the
-implicit rule for inverses (y = S^-1 b has tangent S^-1 (db - dS y)). Values are ``(..., n)`` in the user's joint order.
+Each primitive acts on vectors and has an exact derivative: Pinocchio's analytic derivatives for the dynamics, brackets of the
+columns of the body Jacobian for the kinematics (d J_i / d q_j is [J_i, J_j] for j after i on the chain), and the implicit rule
+for inverses (y = S^-1 b has tangent S^-1 (db - dS y)). Values are ``(..., n)`` in the user's joint order.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Primitives:
-    """One robot's dynamics and kinematics. Not thread-safe: it owns a Pinocchio Data that every call overwrites."""
+    """Dynamics and kinematics of one robot. Not thread-safe: every call overwrites its Pinocchio Data."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -43,7 +43,7 @@ class Primitives:
         self._seen: list[Configuration] = []
 
     def at(self, q: Array) -> Configuration:
-        """M, J, X at the configurations q (..., n), kept while the same array is asked for again."""
+        """M, J, X at the configurations q (..., n), cached for repeated calls with the same array."""
         for known in self._seen:
             if known.q is q:
                 return known
@@ -67,7 +67,7 @@ class Primitives:
         return chain(tau, (lambda: dq, q), (lambda: dv, v), (lambda: symmetric(da), a))
 
     def inverse_dynamics(self, q: Vector, v: Vector, a: Vector) -> Array | Dual:
-        """M(q) a + h(q, v) with the model's own viscous friction in h, as a controller computes it."""
+        """M(q) a + h(q, v) with the viscous friction of the model in h, as a controller computes it."""
         return self._with_viscous(self.rnea(q, v, a), v)
 
     def bias(self, q: Vector, v: Vector) -> Array | Dual:
@@ -113,7 +113,7 @@ class Primitives:
         return self._each(pin.computeGeneralizedGravity, value(q))
 
     def friction(self, v: Vector) -> Array | Dual:
-        """The plant's joint friction: viscous v + coulomb tanh(v / coulomb_speed)."""
+        """Joint friction of the plant: viscous v + coulomb tanh(v / coulomb_speed)."""
         robot = self.robot
         out = v * robot.viscous
         if not np.any(robot.coulomb):
@@ -124,7 +124,7 @@ class Primitives:
     # --- kinematics ----------------------------------------------------------------------------------------------
 
     def pose(self, q: Vector) -> Pose:
-        """The tool's pose X; its tangent is the body twist J dq."""
+        """Tool pose X; its tangent is the body twist J dq."""
         at = self.at(value(q))
         return Pose(at.R, at.p, at.J @ q.tangent if isinstance(q, Dual) else None)
 
@@ -141,7 +141,7 @@ class Primitives:
         return chain(times(at.J_T, fs), (lambda: self._transposed_derivative(at.J, fs), q), (lambda: at.J_T, f))
 
     def jacobian_dot(self, q: Vector, v: Vector) -> Array | Dual:
-        """(dJ_b/dt) v at velocity v: the part of the tool's acceleration that is not J a."""
+        """(dJ_b/dt) v at velocity v: the tool acceleration minus J a."""
         at = self.at(value(q))
         vs = value(v)
         K = self._bracketed(at.J, vs)
@@ -151,7 +151,7 @@ class Primitives:
         return chain(times(K, vs), (lambda: dq, q), (lambda: dv, v))
 
     def solve_jacobian(self, q: Vector, x: Vector, damping: float = 0.0) -> Array | Dual:
-        """The joint velocity of a body twist x: J^-1 x, or the pseudo-inverse; damping [-] makes it J^T (J J^T + damping^2)^-1.
+        """The joint velocity of a body twist x: J^-1 x, or by the pseudo-inverse; with damping [-] by J^T (J J^T + damping^2)^-1.
 
         Raises NearSingular above condition number 1e6 (unless damped).
         """
@@ -176,7 +176,7 @@ class Primitives:
         return chain(y, (dq, q), (lambda: at.J_T @ W, x))
 
     def _solve_tall(self, at: Configuration, q: Vector, x: Vector) -> Array | Dual:
-        """Least squares for arms of fewer than six joints: (J^T J)^-1 J^T x."""
+        """Least squares for arms with fewer than six joints: (J^T J)^-1 J^T x."""
         at.check_regular()
         W = np.linalg.inv(at.J_T @ at.J)
         y = times(W @ at.J_T, value(x))
@@ -192,7 +192,7 @@ class Primitives:
         return self.jacobian(q, self.solve_mass(q, self.jacobian_transpose(q, f)))
 
     def task_mass(self, q: Vector, x: Vector) -> Array | Dual:
-        """Lambda(q) x with Lambda = (J M^-1 J^T)^-1: equation 9.15. Raises NearSingular like ``solve_jacobian``."""
+        """Lambda(q) x with Lambda = (J M^-1 J^T)^-1: equation 9.15. Raises NearSingular as ``solve_jacobian``."""
         at = self.at(value(q))
         Lambda = at.Lambda
         y = times(Lambda, value(x))
@@ -203,7 +203,7 @@ class Primitives:
         tangent = x.tangent - back.tangent if isinstance(x, Dual) else -back.tangent
         return Dual(y, Lambda @ tangent)
 
-    # --- the loops over Pinocchio --------------------------------------------------------------------------------
+    # --- loops over Pinocchio calls ------------------------------------------------------------------------------
 
     def _with_viscous(self, tau: Array | Dual, v: Vector) -> Array | Dual:
         return tau + v * self.robot.viscous if np.any(self.robot.viscous) else tau
@@ -237,7 +237,7 @@ class Primitives:
     def _collect(
         self, call: Callable[..., object], model: pin.Model, data: pin.Data, views: tuple[Array, ...], q: Array, *more: Array | None
     ) -> list[Array]:
-        """Call at every point (None: zeros) and copy Pinocchio's own arrays, views that each call refills, into batches."""
+        """Calls at every point (None: zeros) and copies Pinocchio's arrays, which each call overwrites, into batches."""
         lead = np.broadcast_shapes(q.shape[:-1], *(x.shape[:-1] for x in more if x is not None))
         count, columns = self._columns(lead, q, more)
         outs = [np.empty((count, *view.shape)) for view in views]
@@ -253,7 +253,7 @@ class Primitives:
     # --- derivatives of the Jacobian by brackets -----------------------------------------------------------------
 
     def _along(self, J: Array, *more: Array) -> list[Array]:
-        """Into the order of the chain, where brackets are sums over earlier joints."""
+        """Into chain order, in which brackets are sums over earlier joints."""
         return [x if self._order is None else x[..., self._order] for x in (J, *more)]
 
     def _unordered(self, columns: Array) -> Array:
@@ -280,15 +280,15 @@ class Primitives:
         """d(J' v)/dq and d(J' v)/dv, (..., 6, n) each."""
         J, K, v = self._along(J, K, v)
         Jv, Kv = J * v[..., None, :], K * v[..., None, :]
-        before = np.cumsum(Kv, axis=-1) - Kv  # acceleration gathered before joint k
-        after = np.sum(Jv, axis=-1, keepdims=True) - np.cumsum(Jv, axis=-1)  # twist added behind joint k
+        before = np.cumsum(Kv, axis=-1) - Kv  # acceleration of the joints before joint k
+        after = np.sum(Jv, axis=-1, keepdims=True) - np.cumsum(Jv, axis=-1)  # twist of the joints after joint k
         dq = bracket_columns(before, J) + bracket_columns(K, Jv + after)
         dv = K + bracket_columns(J, after)
         return self._unordered(dq), self._unordered(dv)
 
 
 class Configuration:
-    """M, J, X and their inverses at q (..., n), each computed when first asked for."""
+    """M, J, X and their inverses at q (..., n), each computed at first use."""
 
     def __init__(self, primitives: Primitives, q: Array) -> None:
         self.q = q
@@ -362,17 +362,17 @@ class Configuration:
 
     @cached_property
     def nearest_singular(self) -> NearSingular:
-        """The point nearest to singular, as the error that it may be."""
+        """The configuration nearest to singular, as a NearSingular error (not raised)."""
         return nearest_singular(self._of.robot.tool, self.sigma)
 
     def check_regular(self) -> None:
-        """Raise NearSingular where the condition number of J exceeds 1e6 (or rank is below min(6, n))."""
+        """Raises NearSingular where the condition number of J exceeds 1e6 (or the rank is below min(6, n))."""
         if self.nearest_singular.condition > REFUSE_CONDITION:
             raise self.nearest_singular
 
 
 def symmetric(upper: Array) -> Array:
-    """A full symmetric matrix from one whose upper triangle is filled (what Pinocchio gives)."""
+    """The full symmetric matrix from the upper triangle that Pinocchio fills."""
     n = upper.shape[-1]
     i, j = np.tril_indices(n, -1)
     upper[..., i, j] = upper[..., j, i]

@@ -1,7 +1,7 @@
-"""A robot arm as a value: its dynamics (Pinocchio's), its tool, its friction. Fixed base, every joint of one degree of freedom.
+"""A robot arm as a value: its dynamics (by Pinocchio), tool and friction. The base is fixed; every joint has one degree of freedom.
 
-Angles are plain numbers, also for continuous joints (Pinocchio's cosine and sine never show). Twists and wrenches are (linear, angular) in the
-tool frame at the tool origin. ``q``, ``v`` may carry any leading axes: ``(..., n)`` in, ``(..., n, n)`` and so on out.
+Angles are plain numbers, also for continuous joints (not Pinocchio's cosine and sine). Twists and wrenches are (linear, angular) in the
+tool frame at the tool origin. ``q``, ``v`` may have any leading axes: ``(..., n)`` in, ``(..., n, n)`` and so on out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mfc_analysis.robots.urdf import checked_urdf, read_urdf
 
 Friction = Literal["urdf", "none"]
 
-COULOMB_SPEED = 1e-2  #: [rad/s or m/s] where tanh(v / COULOMB_SPEED) turns a friction's sign
+COULOMB_SPEED = 1e-2  #: [rad/s or m/s] width of the sign change of friction, tanh(v / COULOMB_SPEED)
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  #: [m/s^2]
 
 _workspaces = threading.local()
@@ -35,7 +35,7 @@ _workspaces = threading.local()
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What each joint may do; ``inf`` where the model says nothing (a 0 velocity or torque, an empty range, a continuous joint)."""
+    """Joint limits; ``inf`` where the model has none (a 0 velocity or torque, an empty range, a continuous joint)."""
 
     lower: Array  #: (n,) [rad or m]
     upper: Array  #: (n,) [rad or m]
@@ -59,23 +59,23 @@ class Payload:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
-    """A fixed-base arm. Made by :meth:`from_urdf`, :meth:`from_pinocchio` or the catalogue; ``with_...`` give changed copies.
+    """A fixed-base arm. Created by :meth:`from_urdf`, :meth:`from_pinocchio` or the catalogue; ``with_...`` return changed copies.
 
-    The plant's friction is ``viscous * v + coulomb * tanh(v / coulomb_speed)`` on each joint; mass, gravity and bias contain none of it.
+    The friction of the plant is ``viscous * v + coulomb * tanh(v / coulomb_speed)`` on each joint; mass, gravity and bias leave it out.
     """
 
     name: str
-    model: pin.Model  #: a copy of our own; joints in Pinocchio's order
+    model: pin.Model  #: a private copy; joints in Pinocchio's order
     tool: str  #: name of the tool frame
     frame_id: int  #: of the tool, in ``model.frames``
     order: NDArray[np.intp]  #: (n,) Pinocchio's velocity index of each joint in the user's order
     viscous: Array  #: (n,) [N m s/rad or N s/m]
     coulomb: Array  #: (n,) [N m or N]
     coulomb_speed: float = COULOMB_SPEED  #: [rad/s or m/s]
-    payloads: tuple[Payload, ...] = field(default=())  #: already inside ``model``
-    origin: tuple[str, dict[str, Any]] | None = None  #: the file and arguments given to :meth:`from_urdf`, where a file was; for replays
+    payloads: tuple[Payload, ...] = field(default=())  #: already included in ``model``
+    origin: tuple[str, dict[str, Any]] | None = None  #: file and arguments of :meth:`from_urdf`, if made from a file; for replays
 
-    # --- made from -------------------------------------------------------------------------------------------------------
+    # --- constructors ----------------------------------------------------------------------------------------------------
 
     @classmethod
     def from_urdf(
@@ -90,10 +90,10 @@ class Robot:
         """A robot from a URDF: a path or the XML text. Meshes are never opened.
 
         Args:
-            tool: a link or frame name (where a link and a joint share it, the link); None: the last link, where there is one.
-            locked: joints to weld: names (at 0) or ``{name: value}`` [rad or m].
-            joints: the order of ``q``; None: the model's.
-            friction: "urdf": joint damping is the plant's viscous friction; "none": dropped. The URDF's Coulomb ``friction`` is never taken.
+            tool: a link or frame name (where a link and a joint share it, the link); None: the last link, if unique.
+            locked: joints to lock: names (at 0) or ``{name: value}`` [rad or m].
+            joints: the order of ``q``; None: the order of the model.
+            friction: "urdf": joint damping is the viscous friction of the plant; "none": no friction. Coulomb ``friction`` is not read.
             gravity: (3,) [m/s^2] in base axes.
 
         Raises ``BadRobot`` (not XML, no mass, mimic or floating joints), ``UnknownName`` (tool, locked, joints), ``BadArgument``.
@@ -102,7 +102,7 @@ class Robot:
         try:
             model = pin.buildModelFromXML(text)
         except (ValueError, RuntimeError) as why:
-            raise BadRobot("Pinocchio cannot read this URDF: its links and joints do not make a model") from why
+            raise BadRobot("Pinocchio cannot build a model from the links and joints of this URDF") from why
         robot = cls._from_model(model, tool, locked, joints, friction, gravity, mimic)
         if isinstance(source, str) and "<" in source:
             return robot
@@ -119,7 +119,7 @@ class Robot:
         friction: Friction = "urdf",
         gravity: ArrayLike | None = None,
     ) -> Robot:
-        """A robot from a copy of a Pinocchio model, as :meth:`from_urdf`; ``gravity=None`` keeps the model's own."""
+        """A robot from a copy of a Pinocchio model, as :meth:`from_urdf`; ``gravity=None`` keeps that of the model."""
         if not isinstance(model, pin.Model):
             raise BadArgument("model", type(model).__name__, "a pinocchio.Model")
         return cls._from_model(model, tool, locked, joints, friction, model.gravity.linear if gravity is None else gravity, ())
@@ -152,7 +152,7 @@ class Robot:
         viscous = checks.per_joint("friction", viscous, model.nv, low=0.0)
         return cls(model.name, model, tool, fid, order, viscous, checks.per_joint("coulomb", 0.0, model.nv))
 
-    # --- what it is ------------------------------------------------------------------------------------------------------
+    # --- properties ------------------------------------------------------------------------------------------------------
 
     @property
     def n(self) -> int:
@@ -186,12 +186,12 @@ class Robot:
 
     @property
     def total_mass(self) -> float:
-        """Mass of everything the joints move [kg], payload included."""
+        """Mass of all moving bodies [kg], payload included."""
         return float(sum(body.mass for body in list(self.model.inertias)[1:]))
 
     @property
     def armature(self) -> Array:
-        """(n,) rotor inertia seen at each joint [kg m^2 or kg]."""
+        """(n,) rotor inertia reflected to each joint [kg m^2 or kg]."""
         return _frozen(np.array(self.model.armature)[self.order])
 
     def __repr__(self) -> str:
@@ -230,10 +230,10 @@ class Robot:
         return replace(self, model=model, payloads=(*self.payloads, Payload(mass, com, I)))
 
     def with_friction(self, viscous: ArrayLike | None = None, coulomb: ArrayLike = 0.0, coulomb_speed: float = COULOMB_SPEED) -> Robot:
-        """The robot with this joint friction instead of its own.
+        """The robot with this joint friction in place of its own.
 
         Args:
-            viscous: scalar or (n,) [N m s/rad or N s/m] >= 0; None keeps what there is.
+            viscous: scalar or (n,) [N m s/rad or N s/m] >= 0; None keeps the present one.
             coulomb: scalar or (n,) [N m or N] >= 0, smoothed as ``coulomb * tanh(v / coulomb_speed)``.
             coulomb_speed: [rad/s or m/s] > 0.
         """
@@ -242,9 +242,9 @@ class Robot:
         return replace(self, viscous=new, coulomb=checks.per_joint("coulomb", coulomb, self.n, low=0.0), coulomb_speed=speed)
 
     def with_armature(self, armature: ArrayLike) -> Robot:
-        """The robot with these rotor inertias seen at the joints (gear ratio squared times rotor inertia): scalar or (n,) [kg m^2 or kg] >= 0.
+        """The robot with these rotor inertias reflected to the joints (gear ratio squared times inertia): scalar or (n,) [kg m^2 or kg] >= 0.
 
-        They replace those it has.
+        They replace the present ones.
         """
         values = checks.per_joint("armature", armature, self.n, low=0.0)
         model = pin.Model(self.model)
@@ -254,7 +254,7 @@ class Robot:
         return replace(self, model=model)
 
     def with_inertia_scaled(self, factor: float) -> Robot:
-        """The robot with every mass and inertia multiplied by ``factor`` > 0, armature included: M, h and g scale by it exactly."""
+        """The robot with every mass and inertia multiplied by ``factor`` > 0, armature included: M, h and g scale exactly."""
         factor = checks.number("factor", factor, low=0.0, strict=True)
         model = pin.Model(self.model)
         for i, part in enumerate(list(model.inertias)):
@@ -269,14 +269,14 @@ class Robot:
         return self._configuration(self._joints("q", q))
 
     def to_model(self, x: ArrayLike) -> Array:
-        """(..., n) a vector in the user's joint order, in Pinocchio's."""
+        """(..., n) a vector from the user's joint order to Pinocchio's."""
         x = np.asarray(x, float)
         out = np.empty_like(x)
         out[..., self.order] = x
         return out
 
     def from_model(self, x: ArrayLike) -> Array:
-        """(..., n) a vector in Pinocchio's joint order, in the user's."""
+        """(..., n) a vector from Pinocchio's joint order to the user's."""
         return cast(Array, np.asarray(x, float)[..., self.order])
 
     # --- dynamics --------------------------------------------------------------------------------------------------------
@@ -343,14 +343,14 @@ class Robot:
     def task_inertia(self, q: ArrayLike) -> Array:
         """(..., 6, 6) Lambda = (J M^-1 J^T)^-1 of equation 9.15, J^-T M J^-1 where J is square.
 
-        Warns (``MfcWarning``) above a condition number of J of 1e4, raises ``NearSingular`` above 1e6, as for fewer than six joints.
+        Warns (``MfcWarning``) above a condition number of J of 1e4; raises ``NearSingular`` above 1e6 and for fewer than six joints.
         """
         J = self.jacobian(q)
         self._check_regular(J)
         return _task_inertia(self.mass(q), J)
 
     def task_bias(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """(..., 6) eta = Lambda (J M^-1 h - J' v) of equation 9.15: J^T (Lambda V' + eta) gives 9.7 back. Warns and raises as ``task_inertia``."""
+        """(..., 6) eta = Lambda (J M^-1 h - J' v) of equation 9.15: J^T (Lambda V' + eta) is 9.7. Warns and raises as ``task_inertia``."""
         q, v = self._moving(q, v)
         J, M = self.jacobian(q), self.mass(q)
         self._check_regular(J)
@@ -367,17 +367,17 @@ class Robot:
         F = checks.array("wrench", wrench)
         x = self._joints("q", q)
         if F.ndim == 0 or F.shape[-1] != 6 or not _compatible(F.shape[:-1], x.shape[:-1]):
-            raise BadArgument("wrench", f"shape {F.shape}", f"shape (..., 6), force and moment, with leading axes that go with q of shape {x.shape}")
+            raise BadArgument("wrench", f"shape {F.shape}", f"shape (..., 6), force and moment, with leading axes that match q of shape {x.shape}")
         if frame == "world":
             R = self.pose(q)[..., :3, :3]
             F = np.concatenate([(np.swapaxes(R, -1, -2) @ F[..., part, None])[..., 0] for part in (slice(0, 3), slice(3, 6))], axis=-1)
         tau: Array = np.swapaxes(self.jacobian(q), -1, -2) @ F[..., None]
         return tau[..., 0]
 
-    # --- inside ----------------------------------------------------------------------------------------------------------
+    # --- helpers ---------------------------------------------------------------------------------------------------------
 
     def _data(self) -> pin.Data:
-        """Pinocchio's workspace of this robot in this thread; whatever is read from it is copied at once."""
+        """Pinocchio's workspace of this robot in this thread; results are copied from it at once."""
         if not hasattr(_workspaces, "of"):
             _workspaces.of = WeakKeyDictionary()
         if self not in _workspaces.of:
@@ -395,7 +395,7 @@ class Robot:
     def _moving(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
         q, v = self._joints("q", q), self._joints("v", v)
         if not _compatible(q.shape, v.shape):
-            raise BadArgument("v", f"shape {v.shape}", f"leading axes that go with q of shape {q.shape}")
+            raise BadArgument("v", f"shape {v.shape}", f"leading axes that match q of shape {q.shape}")
         q, v = np.broadcast_arrays(q, v)
         return q, v
 

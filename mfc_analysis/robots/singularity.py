@@ -1,4 +1,4 @@
-"""How near a tool Jacobian is to singular: from which condition number on one is warned, and from which it is refused."""
+"""Distance of a tool Jacobian from singularity: the condition numbers above which the library warns and raises."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WARN_CONDITION, REFUSE_CONDITION = 1e4, 1e6
 
 
 def nearest_singular(tool: str, sigma: Array) -> NearSingular:
-    """The point whose Jacobian has the largest condition number, of singular values (..., k), largest first: as the error that it may be."""
+    """The configuration with the largest condition number, from singular values (..., k), largest first, as a NearSingular error."""
     low, high = np.ravel(sigma[..., -1]), np.ravel(sigma[..., 0])
     condition = np.divide(high, low, out=np.full_like(high, np.inf), where=low > 0)
     worst = int(np.argmax(condition))

@@ -1,4 +1,4 @@
-"""The arm as a chain of points: where base, joints and tool are, for drawings."""
+"""The arm as a chain of points (base, joints and tool), for drawings."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A URDF, read and checked before Pinocchio sees it, so that what is wrong with it is said in words of its own.
+"""Reads and checks a URDF before Pinocchio does, so that errors are reported in clear messages.
 
-Only links with their inertias and joints matter here: geometry, materials, transmissions and simulator tags are left out, so no mesh is ever opened.
+Only links with their inertias and joints are used; geometry, materials, transmissions and simulator tags are left out, and no mesh is opened.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ def read_urdf(source: str | os.PathLike[str]) -> str:
 def checked_urdf(text: str) -> tuple[str, tuple[str, ...]]:
     """The URDF reduced to links and joints, and the names of its mimic joints.
 
-    Raises ``BadRobot`` naming the link or joint for: not XML, no ``<robot>``, xacro left unexpanded, a missing or repeated name, a missing or unknown
-    link, a joint that floats or is planar, a number that is not one, a negative mass, a zero axis, no or several roots, a loop.
+    Raises ``BadRobot``, which names the link or joint: not XML, no ``<robot>``, unexpanded xacro, a missing or repeated name, a missing or
+    unknown link, a floating or planar joint, an invalid number, a negative mass, a zero axis, no or several roots, a loop.
     """
     try:
         root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"))
     except (ElementTree.ParseError, ValueError) as why:
         raise BadRobot(f"the URDF is not XML: {why}") from why
     if root.tag != "robot":
-        raise BadRobot(f"not a URDF: its outermost element is <{_local(root.tag)}>, where a URDF has <robot>")
+        raise BadRobot(f"not a URDF: its root element is <{_local(root.tag)}>, not <robot>")
     if any(isinstance(e.tag, str) and "xacro" in e.tag for e in root.iter()):
         raise BadRobot("the URDF still contains xacro tags: expand it first, with xacro arm.urdf.xacro > arm.urdf")
     bare = ElementTree.Element("robot", {"name": root.get("name") or "robot"})
@@ -75,7 +75,7 @@ def checked_urdf(text: str) -> tuple[str, tuple[str, ...]]:
 
 
 def moving_joints(text: str) -> tuple[str, ...]:
-    """Names of the joints of a URDF that are not fixed, in the file's order."""
+    """Names of the joints of a URDF that are not fixed, in the order of the file."""
     checked, _ = checked_urdf(text)
     return tuple(str(j.get("name")) for j in ElementTree.fromstring(checked).findall("joint") if j.get("type") != "fixed")
 
@@ -136,7 +136,7 @@ def _check_tree(robot: ElementTree.Element) -> None:
         name, kind = joint.get("name"), joint.get("type")
         if kind not in _JOINT_TYPES:
             taken = ", ".join(_JOINT_TYPES)
-            raise BadRobot(f"joint {name!r} is of type {kind!r}: this library takes fixed bases and joints of one degree of freedom ({taken})")
+            raise BadRobot(f"joint {name!r} is of type {kind!r}: this library takes fixed bases and joints with one degree of freedom ({taken})")
         ends = []
         for end in ("parent", "child"):
             part = joint.find(end)

@@ -35,7 +35,7 @@ def test_a_binary_file_is_not_a_urdf(tmp_path):
 
 BAD = {
     "is not XML": "<robot name='x'><link></robot>",
-    "outermost element is <sdf>": "<sdf/>",
+    "root element is <sdf>": "<sdf/>",
     "xacro": '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="y"/></robot>',
     "has no link": "<robot name='x'/>",
     "no joint that moves": "<robot name='x'><link name='base'/></robot>",
