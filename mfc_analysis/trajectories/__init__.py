@@ -1,4 +1,4 @@
-"""References: joint-space and tool-space trajectories, and the way from one to the other."""
+"""References: joint-space and tool-space trajectories, and the conversion of tool paths to joint space."""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
-"""From a tool path to a joint trajectory: equation 9.14, for any arm, redundant ones too.
+"""From a tool path to a joint trajectory: equation 9.14, for any arm, redundant arms included.
 
-At each time the pose is solved by Newton's method on log6(X^-1 X_d), from the joints of the time before. The velocity is the least-norm
-one, v = J^# V_d, and the acceleration is its derivative along the path, so that J v = V_d and J a + J' v = V_d'. On a redundant
-arm the joints follow q' = J^# V_d from ``q_start``, which fixes their self-motion.
+At each time the pose is solved by Newton's method on log6(X^-1 X_d), from the joints at the previous time. The velocity has least norm,
+v = J^# V_d, and the acceleration is its derivative along the path, so that J v = V_d and J a + J' v = V_d'. On a redundant arm the
+joints follow q' = J^# V_d from ``q_start``, which determines the self-motion.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
 
-TOLERANCE = 1e-13  #: of the pose error [m and rad] at which Newton stops
-ROUNDING = 1e-10  #: pose error below which a step that doesn't help means that rounding is reached
-ITERATIONS = 100  #: of Newton at one time
+TOLERANCE = 1e-13  #: pose error [m and rad] at which Newton stops
+ROUNDING = 1e-10  #: pose error below which a step without improvement means rounding error
+ITERATIONS = 100  #: Newton iterations at one time
 STEP = 0.08  #: largest joint step [rad or m] between two nodes of a followed path
-JUMP = 1.0  #: joint step [rad or m] that is another solution and not the next place on the path
-FINE, COARSE = 60, 24  #: nodes for each period or duration of a path: to interpolate between, and to start Newton from
+JUMP = 1.0  #: joint step [rad or m] above which the solution belongs to another branch
+FINE, COARSE = 60, 24  #: nodes per period or duration of a path: for interpolation, and for the start of Newton
 
 
 @dataclass(frozen=True, eq=False)
 class JointPath(JointReference):
-    """A joint trajectory known at nodes, quintic between them with their positions, velocities and accelerations (Hermite).
+    """A joint trajectory by quintic Hermite interpolation between nodes with positions, velocities and accelerations.
 
-    Held at rest outside its times; where it closes on itself after a period, it repeats.
+    Held at rest outside its times; a closed path repeats with its period.
     """
 
     times: Array  #: (m,) [s]
@@ -91,10 +91,10 @@ class _Node(NamedTuple):
 
 
 def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike) -> JointPath:
-    """The joint trajectory (q, v, a) that carries the tool along ``tool_ref`` (equation 9.14); exact at ``times`` and at nodes added between them.
+    """The joint trajectory (q, v, a) that moves the tool along ``tool_ref`` (equation 9.14), exact at ``times`` and at nodes added between them.
 
     Args:
-        robot: any arm; with fewer than six joints the path must be one that it can follow.
+        robot: any arm; with fewer than six joints the path must be feasible.
         q_start: (n,) [rad or m] near the solution at ``times[0]``. times: (m,) [s], m >= 2, increasing.
 
     Raises ``NotConverged`` (out of reach, or a jump), ``NearSingular`` (condition number of J above 1e6), both with the time, ``BadArgument``.
@@ -112,14 +112,14 @@ def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, ti
 
 
 def follow(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike, damping: float = 0.0) -> _Node:
-    """Joint motion (q, v, a), (m, n) each, that carries the tool along ``tool_ref``, exact at these ``times``.
+    """Joint motion (q, v, a), (m, n) each, that moves the tool along ``tool_ref``, exact at these ``times``.
 
     Args:
-        q_start: (n,) [rad or m] near the solution at t = 0, or at ``times[0]`` where that comes before; followed from there.
+        q_start: (n,) [rad or m] near the solution at t = 0, or at ``times[0]`` if that is earlier; followed from there.
         times: (m,) [s], increasing.
-        damping: [-] of the inverse of J, v = J^T (J J^T + damping^2)^-1 V; above 0 nothing is refused near a singularity.
+        damping: [-] of the inverse of J, v = J^T (J J^T + damping^2)^-1 V; above 0 no error is raised near a singularity.
 
-    Raises and warns as ``from_tool_path``, joint limits apart.
+    Raises and warns as ``from_tool_path``, except for joint limits.
     """
     t = checks.times(times)
     follower = _Follower(robot, _tool(tool_ref), checks.number("damping", damping, low=0.0))
@@ -136,7 +136,7 @@ def follow(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: Arr
 
 
 def solve_pose(robot: Robot, X: Any, q_start: ArrayLike) -> Array:
-    """(n,) joints near ``q_start`` that put the tool at the pose X (4x4 or a Pinocchio SE3); ``NotConverged`` where there are none."""
+    """(n,) joint position near ``q_start`` [rad or m] with the tool at the pose X (4x4 or a Pinocchio SE3). Raises ``NotConverged``."""
     q, error, found = _newton(robot, pose_matrix("X", X), _start(robot, q_start), False)
     if not found:
         raise NotConverged(_out_of_reach(robot, error, "near q_start"))
@@ -145,7 +145,7 @@ def solve_pose(robot: Robot, X: Any, q_start: ArrayLike) -> Array:
 
 @dataclass(eq=False)
 class _Follower:
-    """Follows one tool path with one robot, and remembers the worst conditioned place."""
+    """Follows one tool path with one robot, and records the worst condition number."""
 
     robot: Robot
     ref: ToolReference
@@ -153,8 +153,8 @@ class _Follower:
     worst: tuple[float, float, float] = (0.0, 0.0, 0.0)  # condition number, smallest singular value, time
 
     def walk(self, q_start: Array, times: Array, slices: int) -> tuple[Array, _Node]:
-        """Nodes at ``times`` and between them, each followed from the one before."""
-        if self.ref.duration is not None:  # it stands still before 0 and after its end
+        """Nodes at ``times`` and between them, each from the previous one."""
+        if self.ref.duration is not None:  # it is at rest before 0 and after its end
             ends = np.array([0.0, self.ref.duration])
             times = np.unique(np.append(times, ends[(ends > times[0]) & (ends < times[-1])]))
         t = times[:1]
@@ -173,7 +173,7 @@ class _Follower:
         return np.concatenate(kept), _Node(*(np.concatenate(x) for x in zip(*nodes, strict=True)))
 
     def project(self, q: Array, t: Array) -> Array:
-        """The joints (m, n) at which the tool is where the path is, from guesses close by."""
+        """The joint positions (m, n) with the tool on the path, from nearby guesses."""
         X = self.ref(t).X
         for _ in range(4):
             error = log6(inverse(self.robot.pose(q)) @ X)
@@ -194,14 +194,14 @@ class _Follower:
         return out
 
     def node(self, q: Array, t: Array) -> _Node:
-        """Velocity and acceleration that go with joints (m, n) on the path."""
+        """Velocity and acceleration at joint positions (m, n) on the path."""
         point = self.ref(t)
         J = self.robot.jacobian(q)
         pinv = self._inverse(J, t)
         v = pinv @ point.V[..., None]
         J_rate = self.robot.jacobian_rate(q, v[..., 0])
         a = pinv @ (point.dV[..., None] - J_rate @ v)
-        if self.robot.n > 6 and self.damping == 0:  # the part of (J^# V)' that J doesn't see
+        if self.robot.n > 6 and self.damping == 0:  # the null-space part of (J^# V)'
             null = np.swapaxes(J_rate, -1, -2) @ (np.swapaxes(pinv, -1, -2) @ v)
             a = a + null - pinv @ (J @ null)
         if self.robot.n < 6 and self.damping == 0:
@@ -209,14 +209,14 @@ class _Follower:
         return _Node(q, v[..., 0], a[..., 0])
 
     def report(self) -> None:
-        """Warn where the Jacobian came close to singular."""
+        """Warns where the Jacobian is close to singular."""
         condition, smallest, t = self.worst
         if condition > WARN_CONDITION:
             text = f"the Jacobian of frame {self.robot.tool!r} is close to singular at t = {t:.4g} s"
             warnings.warn(f"{text}: smallest singular value {smallest:.3g}, condition number {condition:.3g}", MfcWarning, stacklevel=3)
 
     def _substeps(self, node: _Node, t0: float, t1: float, slices: int) -> int:
-        """How many nodes an interval needs for joint steps below ``STEP``, and for the path's own time scale."""
+        """Number of nodes of an interval, for joint steps below ``STEP`` and for the time scale of the path."""
         if self.ref.is_hold or (self.ref.duration is not None and (t1 <= 0 or t0 >= self.ref.duration)):
             return 1
         pinv = self._inverse(self.robot.jacobian(node.q), np.array([t0]), quiet=True)[0]
@@ -231,7 +231,7 @@ class _Follower:
         return max(1, int(np.ceil(speed)), int(np.ceil(pieces - 1e-9)))
 
     def _advance(self, node: _Node, t0: Array, t1: Array) -> Array:
-        """Where the joints are next: by Taylor, or along q' = J^# V (Runge-Kutta) where that also moves them within themselves."""
+        """The next joint position: by Taylor, or along q' = J^# V (Runge-Kutta) on a redundant arm with self-motion."""
         h = t1 - t0
         if self.robot.n <= 6 or self.damping > 0:
             return node.q + h * node.v + 0.5 * h * h * node.a
@@ -241,12 +241,12 @@ class _Follower:
 
     def _rate(self, q: Array, t: Array) -> Array:
         point = self.ref(t)
-        V = adjoint(inverse(self.robot.pose(q)) @ point.X) @ point.V[..., None]  # the path's twist as the tool sees it from where it is
+        V = adjoint(inverse(self.robot.pose(q)) @ point.X) @ point.V[..., None]  # twist of the path in the present tool frame
         rate: Array = self._inverse(self.robot.jacobian(q), t) @ V
         return rate[..., 0]
 
     def _inverse(self, J: Array, t: Array, quiet: bool = False) -> Array:
-        """(m, n, 6) pseudo-inverses; refuses near a singularity (unless damped or ``quiet``) and remembers the worst."""
+        """(m, n, 6) pseudo-inverses. Raises NearSingular (unless damped or ``quiet``) and records the worst condition number."""
         U, s, Vt = np.linalg.svd(J, full_matrices=False)
         if self.damping > 0:
             gain = s / (s * s + self.damping**2)
@@ -267,13 +267,13 @@ class _Follower:
         missed = np.maximum(np.abs(missed_V).max(axis=-1), np.abs(missed_dV).max(axis=-1))
         if missed.max() > 1e-6 * scale:
             when = float(t[int(np.argmax(missed))])
-            raise NotConverged(f"{self.robot.n} joints cannot follow the tool path at t = {when:.4g} s: its twist has a part that no joint gives")
+            raise NotConverged(f"{self.robot.n} joints cannot follow the tool path at t = {when:.4g} s: no joint motion gives a part of its twist")
 
 
 def _newton(robot: Robot, target: Array, q: Array, least: bool) -> tuple[Array, Array, bool]:
-    """Joints (n,) at the target, the pose error left, and whether they are found (``least``: or the error can't be made smaller).
+    """Joint position (n,) at the target, the remaining pose error, and whether it converged (``least``: or the error is minimal).
 
-    Damped least squares that become Newton's steps near the solution.
+    Damped least squares, which become Newton steps near the solution.
     """
     q, mu = np.array(q), 0.0
     error = log6(inverse(robot.pose(q)) @ target)
@@ -300,13 +300,13 @@ def _newton(robot: Robot, target: Array, q: Array, least: bool) -> tuple[Array, 
 def _out_of_reach(robot: Robot, error: Array, where: str) -> str:
     far, turned = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     return (
-        f"no joints of {robot.name!r} found for the tool pose {where}: {far:.3g} m and {turned:.3g} rad are left after {ITERATIONS} steps. "
+        f"no joint position of {robot.name!r} found for the tool pose {where}: error {far:.3g} m and {turned:.3g} rad after {ITERATIONS} steps. "
         "The pose is out of reach, or q_start is too far from it"
     )
 
 
 def _closed(ref: ToolReference, t: Array, nodes: _Node) -> float | None:
-    """The path's period, where these times span a whole number of it and the joints come back to where they began."""
+    """The period of the path, where these times span a whole number of periods and the joints return to their start."""
     if ref.period is None:
         return None
     span = float(t[-1] - t[0])

@@ -1,6 +1,6 @@
 """References in joint space, as values: ``ref(t)`` gives ``JointPoint(q, v, a)``, each (..., n) for t of shape (...), [s].
 
-Before its first and after its last time a finite reference stands at its end: q held, v = a = 0.
+Before its first and after its last time a finite reference is at rest: q is held, v = a = 0.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PERIOD_DENOMINATOR = 1000  #: largest numerator or denominator of such a ratio
 
 
 class JointPoint(NamedTuple):
-    """A joint reference at a time (or at many): position, velocity and acceleration, each (..., n)."""
+    """A joint reference at one or many times: position, velocity and acceleration, each (..., n)."""
 
     q: Array  #: [rad or m]
     v: Array  #: [rad/s or m/s]
@@ -41,7 +41,7 @@ class JointPoint(NamedTuple):
 
 
 class JointReference(ABC):
-    """What every joint reference offers."""
+    """Base class of joint references."""
 
     space: ClassVar[Literal["joint"]] = "joint"
 
@@ -57,12 +57,12 @@ class JointReference(ABC):
 
     @property
     def duration(self) -> float | None:
-        """[s], the time at which it comes to its end; None where it has none."""
+        """End time [s]; None where it has none."""
         return None
 
     @property
     def is_hold(self) -> bool:
-        """Whether it stands still at all times."""
+        """Whether it is at rest at all times."""
         return False
 
     def __call__(self, t: ArrayLike) -> JointPoint:
@@ -171,7 +171,7 @@ class Sinusoid(JointReference):
 
     @property
     def period(self) -> float | None:
-        """The least common period of the joints that move [s]; ``BadArgument`` where their frequencies have none."""
+        """The least common period of the moving joints [s]. Raises ``BadArgument`` where their frequencies have none."""
         return least_common_period(self._frequency[self._amplitude * self._frequency != 0])
 
     def _at(self, t: Array) -> JointPoint:
@@ -183,10 +183,10 @@ class Sinusoid(JointReference):
 
 @dataclass(frozen=True, eq=False)
 class Waypoints(JointReference):
-    """Through positions (m, n) [rad or m] at times (m,) [s], m >= 2, starting and ending at rest.
+    """Motion through positions (m, n) [rad or m] at times (m,) [s], m >= 2, that starts and ends at rest.
 
     The interpolation is the quintic spline (four times continuously differentiable) with zero velocity and acceleration at both ends;
-    between two points it is ``Quintic``. Positions (m,) are taken as those of one joint.
+    between two positions it is ``Quintic``. Positions (m,) are those of one joint.
     """
 
     times: ArrayLike
@@ -224,10 +224,10 @@ class Waypoints(JointReference):
 
 
 def from_csv(path: str | os.PathLike[str]) -> Waypoints:
-    """The ``Waypoints`` of a table: time [s] in the first column, a joint [rad or m] in each other one.
+    """The ``Waypoints`` of a table: time [s] in the first column, one joint [rad or m] in each other column.
 
     A header line is optional, as are lines that are empty or start with ``#``; columns are separated by commas, semicolons, tabs or blanks.
-    Raises ``BadArgument`` naming the file and line.
+    Raises ``BadArgument``, which names the file and line.
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
@@ -262,9 +262,9 @@ def from_csv(path: str | os.PathLike[str]) -> Waypoints:
 
 
 def warn_outside_limits(robot: Robot, ref: JointReference, times: ArrayLike) -> tuple[str, ...]:
-    """Warn (``MfcWarning``) for each joint whose reference leaves its position or velocity limits at times (m,) [s].
+    """Warns (``MfcWarning``) for each joint whose reference leaves its position or velocity limits at times (m,) [s].
 
-    Returns the sentences too. Raises BadArgument for times.
+    Also returns the messages. Raises BadArgument for bad times.
     """
     t = checks.times(times)
     point, limits = ref(t), robot.limits
@@ -288,7 +288,7 @@ def warn_outside_limits(robot: Robot, ref: JointReference, times: ArrayLike) -> 
 def least_common_period(frequencies: Iterable[float]) -> float | None:
     """The least T > 0 [s] that is a whole number of periods of each frequency [rad/s]; None for no frequency.
 
-    Ratios count as rational within 1e-9, with numerator and denominator up to 1000; ``BadArgument`` where one isn't.
+    Ratios count as rational within 1e-9, with numerator and denominator up to 1000. Raises ``BadArgument`` for other ratios.
     """
     w = [float(x) for x in dict.fromkeys(map(float, frequencies))]
     if not w:
@@ -317,7 +317,7 @@ def quintic(t: Array, duration: float) -> tuple[Array, Array, Array]:
 
 
 def time_array(t: ArrayLike) -> Array:
-    """Times as a float array; ``BadArgument`` where one is not finite."""
+    """Times [s] as a float array. Raises ``BadArgument`` where one is not finite."""
     try:
         out = np.asarray(t, dtype=float)
     except (TypeError, ValueError) as why:

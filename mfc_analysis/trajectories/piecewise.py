@@ -1,4 +1,4 @@
-"""Quintic pieces between times: the polynomial behind splines and sampled paths, fast for a single time."""
+"""Piecewise quintic polynomials for splines and sampled paths, fast for a single time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _DEGREES = np.arange(6.0)
 
 @dataclass(frozen=True, eq=False)
 class Piecewise:
-    """Position, velocity and acceleration of n channels by a quintic between each two of m times; held at rest outside them."""
+    """Position, velocity and acceleration of n channels by quintics between m times; held at rest outside them."""
 
     breaks: Array  #: (m,) [s]
     coefficients: Array  #: (m - 1, 6, 3 n) of powers of the time since the last break: positions, velocities, accelerations

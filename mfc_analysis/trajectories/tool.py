@@ -20,7 +20,7 @@ from mfc_analysis.trajectories.joint import quintic, time_array
 
 
 class ToolPoint(NamedTuple):
-    """A tool reference at a time (or at many)."""
+    """A tool reference at one or many times."""
 
     X: Array  #: (..., 4, 4) pose in the base
     V: Array  #: (..., 6) body twist [m/s, rad/s] in the frame X
@@ -28,7 +28,7 @@ class ToolPoint(NamedTuple):
 
 
 class _Motion(NamedTuple):
-    """A motion by numbers: position and its derivatives in base axes, and an angle about a fixed tool axis with its derivatives."""
+    """A motion as arrays: position and its derivatives in base axes, and an angle about a fixed tool axis with its derivatives."""
 
     p: Array
     dp: Array
@@ -67,7 +67,7 @@ class _Turning:
 
 
 class ToolReference(ABC):
-    """What every tool reference offers."""
+    """Base class of tool references."""
 
     space: ClassVar[Literal["tool"]] = "tool"
 
@@ -78,12 +78,12 @@ class ToolReference(ABC):
 
     @property
     def duration(self) -> float | None:
-        """[s], the time at which it comes to its end; None where it has none."""
+        """End time [s]; None where it has none."""
         return None
 
     @property
     def is_hold(self) -> bool:
-        """Whether it stands still at all times."""
+        """Whether it is at rest at all times."""
         return False
 
     def __call__(self, t: ArrayLike) -> ToolPoint:
@@ -135,7 +135,7 @@ class ToolLine(ToolReference):
             raise BadArgument(
                 "X1",
                 f"a rotation of {angle:.6f} rad from X0",
-                "a pose turned by less than pi - 1e-3 rad, or the axis is undecided: go there by two lines",
+                "a rotation below pi - 1e-3 rad, beyond which the axis is not defined: use two lines",
             )
         w = log3(R)
         angle = float(np.linalg.norm(w))
@@ -160,7 +160,7 @@ class ToolSinusoid(ToolReference):
     """p = p0 + amplitude sin(frequency t + phase), R = R0 exp(axis angle sin(frequency t + phase)).
 
     Args:
-        X0: the pose in the middle. amplitude: (3,) [m] in base axes (a scalar: the same on x, y and z). frequency: [rad/s] > 0.
+        X0: the centre pose. amplitude: (3,) [m] in base axes (a scalar: the same on x, y and z). frequency: [rad/s] > 0.
         axis: (3,) in the tool frame, normalised. angle: [rad]. phase: [rad].
     """
 
@@ -208,8 +208,8 @@ class ToolSinusoid(ToolReference):
 class ToolCircle(ToolReference):
     """A circle that starts at X0 and keeps its orientation, counterclockwise about ``normal`` at a constant speed.
 
-    The radius at the start points along the base's x axis less its part along the normal (its y axis where the normal is x): the centre
-    lies at p0 - radius u.
+    The direction u from the centre to the start is the base x axis minus its part along the normal (the y axis where the normal is x):
+    the centre lies at p0 - radius u.
 
     Args:
         X0: the pose at t = 0. radius: [m] > 0. frequency: [rad/s] > 0. normal: (3,) in base axes, normalised.
