@@ -1,8 +1,8 @@
 r"""The practice questions of the chapter, 9.1 to 9.4, on Pinocchio's dynamics instead of a CoppeliaSim scene.
 
-One revolute joint in a vertical plane (equation 9.6), the angle measured from the horizontal. The link starts at its original position,
-q = 0 (horizontal), at rest, every time. Without a target velocity the target is a step; with one the joint goes there on a quintic whose
-top speed is the target velocity, which takes 1.875 |target| / velocity.
+One revolute joint in a vertical plane (equation 9.6), with the angle measured from the horizontal. Every run starts at the original
+position, q = 0 (horizontal), at rest. Without a target velocity the target is a step; with one the joint follows a quintic whose top
+speed is the target velocity, which takes 1.875 |target| / velocity.
 
 9.4: the RP manipulator q = (theta, d) with its tool at d (cos theta, sin theta, 0) and tau = J^T F for F in base axes,
 J = [[-d sin theta, cos theta], [d cos theta, sin theta]].
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 QUINTIC_TOP_SPEED = 1.875  #: top speed of a quintic over its mean speed
-SETTLED = 0.02  #: of the way: the band that settling means
+SETTLED = 0.02  #: settling band, a fraction of the motion
 GRAVITY = 9.81  #: [m/s^2]
 
 
@@ -56,20 +56,20 @@ class JointRun:
     loop: ClosedLoop = field(repr=False)
     simulation: Simulation = field(repr=False)
     target: float  #: [rad]
-    poles: Array  #: of the loop linearised at rest: about the target, or where the joint comes to rest
-    rests_at: float  #: [rad] where it was linearised
+    poles: Array  #: of the loop linearised about the target, or about the rest position of the joint
+    rests_at: float  #: [rad] position of the linearisation
     stable: bool
-    advice: str  #: what to change; empty where the loop is stable
+    advice: str  #: recommended change; empty where the loop is stable
 
     @property
     def overshoot(self) -> float:
-        """Beyond the target, as a fraction of the way; NaN for a run that diverged."""
+        """Overshoot beyond the target, as a fraction of the motion; NaN for a run that diverged."""
         past = math.copysign(1.0, self.target) * (self.simulation.q[:, 0] - self.target)
         return math.nan if self.simulation.diverged else max(0.0, float(past.max())) / abs(self.target)
 
     @property
     def settling_time(self) -> float:
-        """[s] after which the joint stays within 2 % of the way around the target; inf where it does not, NaN for a run that diverged."""
+        """[s] after which the joint stays within 2 % of the motion around the target; inf where it does not, NaN for a run that diverged."""
         outside = np.flatnonzero(np.abs(self.simulation.q[:, 0] - self.target) > SETTLED * abs(self.target))
         if self.simulation.diverged:
             return math.nan
@@ -85,7 +85,7 @@ class JointRun:
 
     @property
     def peak_torque(self) -> float:
-        """[N m] largest torque asked of the joint."""
+        """[N m] largest commanded torque."""
         return float(np.abs(self.simulation.tau).max())
 
     @property
@@ -94,8 +94,8 @@ class JointRun:
         return float(np.abs(self.simulation.v).max())
 
     def rows(self) -> tuple[tuple[str, str], ...]:
-        """What the run gave, in words and numbers with units."""
-        rest = "the target" if math.isclose(self.rests_at, self.target, abs_tol=1e-12) else f"its rest point, {math.degrees(self.rests_at):.4g} deg"
+        """Results of the run, in words and numbers with units."""
+        rest = "the target" if math.isclose(self.rests_at, self.target, abs_tol=1e-12) else f"rest at {math.degrees(self.rests_at):.4g} deg"
         verdict = "stable" if self.stable else "NOT STABLE"
         return (
             ("law", str(self.loop.law)),
@@ -117,7 +117,7 @@ def pid(
 
     Args:
         target_deg: [deg], not 0. kp [N m/rad], ki [N m/(rad s)], kd [N m s/rad]; ki = 0: no integral.
-        velocity_deg: target velocity [deg/s]; 0: a step. duration: [s] of the run after the motion's end.
+        velocity_deg: target velocity [deg/s]; 0: a step. duration: [s] of the run after the end of the motion.
 
     Raises BadArgument for a number that is not finite or a target of 0.
     """
@@ -140,7 +140,7 @@ def pid_with_inverse_dynamics(
 
     Args:
         target_deg: [deg], not 0. kp [1/s^2], ki [1/s^3], kd [1/s]; ki = 0: no integral.
-        velocity_deg: target velocity [deg/s], the top speed on the way; 0: a step. duration: [s] of the run after the motion's end.
+        velocity_deg: target velocity [deg/s], the top speed; 0: a step. duration: [s] of the run after the end of the motion.
 
     Raises BadArgument for a number that is not finite or a target of 0.
     """
@@ -173,7 +173,7 @@ def _run(name: str, law: Any, target_deg: float, velocity_deg: float, link: Link
     loop = ClosedLoop(robot, law, Quintic([0.0], [target], moving) if speed else Hold([target]))
     at_rest = ClosedLoop(robot, law, Hold([target]))
     lin, rests_at = at_rest.linearize(), target
-    if not law.ki and type(law).__name__ == "JointPID":  # no integral: the joint sags, and comes to rest beside the target
+    if not law.ki and type(law).__name__ == "JointPID":  # no integral: the joint sags and rests below the target
         try:
             rests_at = float(at_rest.equilibrium().q[0])
             lin = at_rest.linearize(about="equilibrium")
@@ -187,7 +187,7 @@ def _run(name: str, law: Any, target_deg: float, velocity_deg: float, link: Link
 
 
 def routh_advice(a3: float, a2: float, a1: float, a0: float, kp: float, kd: float, unit: str) -> str:
-    """What to change so that a3 s^3 + a2 s^2 + a1 s + a0 becomes stable: gains kp and kd stand in a1 and a2, ki is a0 (0: none).
+    """Change of gains that makes a3 s^3 + a2 s^2 + a1 s + a0 stable: kp and kd enter a1 and a2, ki is a0 (0: none).
 
     Stable iff all coefficients are positive and a3 a0 < a2 a1.
     """
@@ -195,11 +195,11 @@ def routh_advice(a3: float, a2: float, a1: float, a0: float, kp: float, kd: floa
     rate = f" {unit} s/rad" if unit else " 1/s"
     integral = f" {unit}/(rad s)" if unit else " 1/s^3"
     if a2 <= 0:
-        return f"raise kd above {kd - a2:.4g}{rate}: nothing damps the joint"
+        return f"raise kd above {kd - a2:.4g}{rate}: the joint has no damping"
     if a1 <= 0:
-        return f"raise kp above {kp - a1:.4g}{per}: the joint falls away from the target"
+        return f"raise kp above {kp - a1:.4g}{per}: the joint diverges from the target"
     if a0 < 0:
-        return "make ki positive: a negative integral drives the error away"
+        return "make ki positive: a negative integral gain is unstable"
     if a3 * a0 >= a2 * a1:
         lower, higher = f"{a2 * a1 / a3:.4g}{integral}", f"{kd - a2 + a3 * a0 / a1:.4g}{rate}"
         return f"lower ki below {lower}, or raise kd above {higher}: the integral acts faster than the damping"
@@ -220,10 +220,10 @@ class Comparison:
 
     @property
     def finding(self) -> str:
-        """How the two compare, in a sentence from the metrics."""
+        """Comparison of both laws, in a sentence from the metrics."""
         bad = [run.name for run in (self.plain, self.inverse) if run.simulation.diverged or not run.stable]
         if bad:
-            return f"{' and '.join(bad)}: not stable with these gains, so there is nothing to compare."
+            return f"{' and '.join(bad)}: not stable with these gains, so no comparison is possible."
         metrics: tuple[tuple[str, float, float, Callable[[float], str]], ...] = (
             ("overshoots", self.plain.overshoot, self.inverse.overshoot, lambda x: f"{round(100 * x, 2):.3g} %"),
             ("settles in", self.plain.settling_time, self.inverse.settling_time, lambda x: _said(x, "s", "no time within the run")),
@@ -250,8 +250,8 @@ def compare(
     """Exercise 9.3: PID and PID with inverse dynamics on the same motion.
 
     Args:
-        kp [1/s^2], ki [1/s^3], kd [1/s] of the inverse dynamics. pid_gains: (kp, ki, kd) of the plain PID [N m ...]; None: the inertia times
-            the others, so that without gravity and friction both have the same poles.
+        kp [1/s^2], ki [1/s^3], kd [1/s] of the inverse dynamics. pid_gains: (kp, ki, kd) of the plain PID [N m ...]; None: inertia times
+            these gains, so that without gravity and friction both loops have the same poles.
         target_deg, velocity_deg, duration: as in ``pid_with_inverse_dynamics``.
     """
     link = link or Link()
@@ -262,7 +262,7 @@ def compare(
 
 
 def graph(runs: Sequence[JointRun]) -> tuple[Axes, ...]:
-    """Joint position, joint velocity and torque over time; a second run dashed, at the times of the first."""
+    """Joint position, joint velocity and torque over time. A second run is dashed, at the times of the first."""
     from mfc_analysis import plots
 
     first = runs[0].simulation
@@ -312,7 +312,7 @@ def rp_torques(theta_deg: float = 45.0, d: float = 1.0, force: Sequence[float] =
     """Exercise 9.4: tau = J^T F on the RP manipulator.
 
     Args:
-        theta_deg: [deg]. d: [m]. force: (Fx, Fy) [N] in base axes, what the tool shall push with.
+        theta_deg: [deg]. d: [m]. force: (Fx, Fy) [N] in base axes, exerted by the tool.
 
     Raises BadArgument for numbers that are not finite.
     """

@@ -1,4 +1,4 @@
-"""How results look in a notebook: one small HTML table each. Imports nothing of ours."""
+"""Notebook display of results: one small HTML table each. Imports no other file of the package."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from html import escape
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]], notes: Iterable[str] = ()) -> str:
-    """An HTML table whose first column heads its rows; every text is escaped."""
+    """An HTML table with row headers in the first column; all text is escaped."""
     head = "".join(f'<th scope="col">{escape(h)}</th>' for h in heads)
     body = "".join(f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:]) + "</tr>" for row in rows)
     below = "".join(f"<p>{escape(note)}</p>" for note in notes)

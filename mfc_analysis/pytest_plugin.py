@@ -1,7 +1,7 @@
-"""pytest's hooks: ``pytest --mfc-report=DIR`` collects every loop that the tests assert on into one verification report.
+"""pytest plugin: ``pytest --mfc-report=DIR`` collects every loop that the tests assert on into one verification report.
 
-Only hooks: assertions are in ``testing``, the report in ``verification``; both load where the option is given. Under xdist each
-worker hands its records over when it ends, and the controller writes.
+It holds only hooks: assertions are in ``testing``, the report in ``verification``; both load only with the option. Under xdist
+each worker passes its records on when it ends, and the controller writes the report.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mfc_analysis.report.verification import Record
     from mfc_analysis.testing import Asserted
 
-KEY = "mfc_records"  #: of xdist's ``workeroutput``
+KEY = "mfc_records"  #: key in xdist's ``workeroutput``
 FORMATS = "html,pdf,json"
 
 
@@ -30,13 +30,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Registers the collector where a report is asked for. A wrong folder or format ends the run before it begins."""
+    """Registers the collector if a report is requested. A wrong folder or format stops pytest before the tests."""
     folder = config.getoption("--mfc-report")
     if folder is None:
         return
     formats = tuple(str(config.getoption("--mfc-report-formats")).replace(" ", "").split(","))
     if not folder or Path(folder).is_file():
-        raise pytest.UsageError(f"--mfc-report={folder!r}: takes a folder to write into")
+        raise pytest.UsageError(f"--mfc-report={folder!r}: takes an output folder")
     unknown = [f for f in formats if f not in FORMATS.split(",")]
     if unknown:
         raise pytest.UsageError(f"--mfc-report-formats: got {unknown[0]!r}; takes some of {FORMATS}")
@@ -44,7 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 class Collector:
-    """Everything the plugin knows during a run."""
+    """State of the plugin during a run."""
 
     def __init__(self, config: pytest.Config, folder: Path, formats: tuple[str, ...]) -> None:
         self.config, self.formats = config, formats
@@ -60,7 +60,7 @@ class Collector:
     # --- while tests run -----------------------------------------------------------------------------------------
 
     def pytest_sessionstart(self) -> None:
-        """Starts to watch assertions."""
+        """Starts to collect assertions."""
         from mfc_analysis.testing import observed
 
         self.stack.enter_context(observed(self.add))
@@ -74,7 +74,7 @@ class Collector:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, Any, Any]:
-        """Knows which test is running; one that is run again starts anew."""
+        """Keeps the name of the running test; a repeated test replaces its earlier records."""
         self.test = item.nodeid
         self.records = [r for r in self.records if r.test != self.test]
         try:
@@ -83,7 +83,7 @@ class Collector:
             self.test = ""
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """What came of each test; a failure of any phase counts. On xdist's controller these come from the workers."""
+        """Records the outcome of each test; a failure of any phase counts. On xdist's controller outcomes come from the workers."""
         if report.when == "call" or report.outcome != "passed":
             expected = report.outcome == "skipped" and hasattr(report, "wasxfail")
             self.outcomes[report.nodeid] = "passed" if expected else report.outcome
@@ -92,7 +92,7 @@ class Collector:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
-        """xdist: takes over what a worker recorded; one that crashed took it along."""
+        """xdist: takes over the records of a worker; those of a crashed worker are lost."""
         content = getattr(node, "workeroutput", {}).get(KEY)
         if content is None:
             self.lost.append(f"worker {node.gateway.id}")
@@ -101,7 +101,7 @@ class Collector:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self) -> None:
-        """A worker hands over its records; everyone else writes the report."""
+        """A worker passes its records on; any other process writes the report."""
         self.stack.close()
         if self.worker:
             self.config.workeroutput[KEY] = pickle.dumps(self.records)  # type: ignore[attr-defined]  # of xdist
@@ -113,12 +113,12 @@ class Collector:
             self.written = render(document, self.folder, self.formats)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """Says what was written, and where."""
+        """Lists the files written."""
         if self.worker:
             return
         terminalreporter.section("mfc-analysis")
         for name in self.lost:
-            terminalreporter.write_line(f"{name} ended without handing over its assertions: the report is not complete")
+            terminalreporter.write_line(f"{name} ended without passing on its assertions: the report is not complete")
         if not self.written:
             terminalreporter.write_line("no assertion of mfc_analysis.testing was made: no report was written")
             return

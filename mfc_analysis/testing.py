@@ -1,7 +1,7 @@
-"""Assertions on loops, for pytest, notebooks and scripts alike (pytest is not needed).
+"""Assertions on loops, for pytest, notebooks and scripts (pytest is not required).
 
-A failure says the worst time and joint, what was asked and found, and code that makes the loop again. NaN fails. WATCH fails as
-well: drift unless ``allow_drift``, a residual at the operating points unless ``allow_residual``.
+A failure reports the worst time and joint, the limit and the value found, and code that rebuilds the loop. NaN fails. WATCH also
+fails: drift unless ``allow_drift``, a residual at the operating points unless ``allow_residual``.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 
 __all__ = ["Asserted", "assert_margins", "assert_requirements", "assert_stable", "assert_validated", "observed"]
 
-ORDER = 0.05  #: how far below 2 the Taylor order may lie
+ORDER = 0.05  #: how far the Taylor order may lie below the required one
 
 
 @dataclass(frozen=True, eq=False)
 class Asserted:
-    """One assertion that was made, passed or not: what an observer is told."""
+    """One assertion, passed or not, as an observer receives it."""
 
     what: str  #: "assert_margins", ...
     loop: ClosedLoop
     times: Any  #: (m,) [s]
-    lines: tuple[Line, ...]  #: asked and found, failures first
+    lines: tuple[Line, ...]  #: limits and values found, failures first
     status: Status
-    passed: bool  #: what the assertion decided: WATCH passes where it is allowed
-    replay: str  #: code that makes the loop again and asks again
+    passed: bool  #: result of the assertion: WATCH passes where it is allowed
+    replay: str  #: code that rebuilds the loop and repeats the check
     verdict: Verdict | None = None
     validation: Validation | None = None
 
@@ -51,7 +51,7 @@ _observers: list[Observer] = []
 
 @contextmanager
 def observed(observer: Observer) -> Iterator[None]:
-    """Tell ``observer`` of every assertion made inside, passed or not: how a report collects them."""
+    """Passes every assertion made in the context, passed or not, to ``observer``. Reports collect assertions in this way."""
     _observers.append(observer)
     try:
         yield
@@ -60,10 +60,10 @@ def observed(observer: Observer) -> Iterator[None]:
 
 
 def assert_stable(loop: ClosedLoop, times: ArrayLike = (0.0,), *, allow_drift: bool = False) -> None:
-    """The loop linearised about its reference is stable at all times (m,) [s], dead time included.
+    """Asserts that the loop linearised about its reference is stable at all times (m,) [s], dead time included.
 
-    Nothing but neutral roots is not stable; a drifting loop passes with ``allow_drift`` if its other roots decay.
-    Raises AssertionError, and BadArgument for what cannot be asked.
+    A loop with neutral roots only is not stable; a drifting loop passes with ``allow_drift`` if its other roots are stable.
+    Raises AssertionError, and BadArgument for bad input.
     """
     __tracebackhide__ = True
     verdict = Requirements().check(loop, times)
@@ -76,18 +76,18 @@ def assert_stable(loop: ClosedLoop, times: ArrayLike = (0.0,), *, allow_drift: b
 def assert_margins(
     loop: ClosedLoop, times: ArrayLike = (0.0,), *, at: str | None = None, allow_drift: bool = False, allow_residual: bool = False, **asked: float
 ) -> None:
-    """Margins (and whatever else ``Requirements`` knows) hold at all times (m,) [s] and channels of the analysis point.
+    """Asserts margins (and any other field of ``Requirements``) at all times (m,) [s] and channels of the analysis point.
 
     Args:
         at: analysis point; None: the plant input. asked: fields of ``Requirements``, such as ``phase_deg=45, gain_increase_db=6``.
-        allow_drift, allow_residual: pass although the loop drifts, or does not rest at its operating points. A drifting loop without any rest
-            point (an infinite error at rest) needs ``allow_drift`` alone.
+        allow_drift, allow_residual: pass if the loop drifts, or does not stay at its operating points. A drifting loop without an
+            equilibrium (an infinite error at rest) needs ``allow_drift`` alone.
 
-    Raises AssertionError; UnknownName for a field that isn't one; BadArgument where nothing is asked.
+    Raises AssertionError; UnknownName for an unknown field; BadArgument without any field.
     """
     __tracebackhide__ = True
     if not asked:
-        raise BadArgument("asked", "nothing", "at least one field of Requirements, such as phase_deg=45; assert_stable asks for stability alone")
+        raise BadArgument("asked", "nothing", "at least one field of Requirements, such as phase_deg=45; assert_stable checks stability alone")
     _assert_requirements("assert_margins", loop, Requirements.from_mapping(asked), times, at, allow_drift, allow_residual)
 
 
@@ -100,7 +100,7 @@ def assert_requirements(
     allow_drift: bool = False,
     allow_residual: bool = False,
 ) -> None:
-    """The verdict of ``requirements`` is PASS at all times (m,) [s]; arguments as ``assert_margins``. Raises AssertionError."""
+    """Asserts that the verdict of ``requirements`` is PASS at all times (m,) [s]; arguments as ``assert_margins``. Raises AssertionError."""
     __tracebackhide__ = True
     if not isinstance(requirements, Requirements):
         raise BadArgument("requirements", requirements, "a Requirements, such as mfc.Requirements(phase_deg=45)")
@@ -108,12 +108,12 @@ def assert_requirements(
 
 
 def assert_validated(loop: ClosedLoop, time: float = 1.0, *, nrmse: float = 0.05, order: float = 2.0, size: float = 1e-2, seed: int = 0) -> None:
-    """The linear model predicts the nonlinear loop over ``time`` [s] from an operating point disturbed by ``size`` [rad, m].
+    """Asserts that the linear model predicts the nonlinear loop over ``time`` [s], from an operating point disturbed by ``size`` [rad, m].
 
     Args:
-        nrmse: largest misfit, a fraction. order: of the Taylor remainder, met from 0.05 below (a linear loop has none: inf).
+        nrmse: largest misfit, a fraction. order: of the Taylor remainder, with a tolerance of 0.05 (inf for a linear loop, which has none).
 
-    Raises AssertionError, and BadArgument for values that cannot be asked.
+    Raises AssertionError, and BadArgument for bad values.
     """
     __tracebackhide__ = True
     nrmse, order = checks.number("nrmse", nrmse, low=0.0), checks.number("order", order, low=0.0)
@@ -149,7 +149,7 @@ def _assert_requirements(
     verdict = requirements.check(loop, times, at)
     allowed = {name for name, yes in (("stable", allow_drift), ("residual", allow_residual)) if yes}
     if allow_drift and verdict.line("stable").status is Status.WATCH and any(line.name == "residual" and line.found == inf for line in verdict.lines):
-        allowed.add("residual")  # no rest point within reach: that is the drift itself
+        allowed.add("residual")  # no equilibrium: this is the drift itself
     passed = all(line.status is Status.PASS or (line.status is Status.WATCH and line.name in allowed) for line in verdict.lines)
     asked = ", ".join(f"{name}={limit!r}" for name, limit in requirements.asked().items())
     _decide(what, loop, verdict, verdict.lines, passed, f"print(mfc.Requirements({asked}).check(loop, times, at={verdict.at!r}))")
@@ -167,8 +167,8 @@ def _decide(what: str, loop: ClosedLoop, verdict: Verdict, lines: tuple[Line, ..
 
 
 def _message(table: str, lines: list[Line] | tuple[Line, ...], code: str) -> str:
-    """The worst in a sentence, the table, and the code."""
-    return "\n".join([_sentence(lines[0]), "", table, "", "to see it again:", "", *(f"    {line}".rstrip() for line in code.splitlines())])
+    """The worst line as a sentence, the table and the code."""
+    return "\n".join([_sentence(lines[0]), "", table, "", "to reproduce it:", "", *(f"    {line}".rstrip() for line in code.splitlines())])
 
 
 def _sentence(line: Line) -> str:
@@ -179,7 +179,7 @@ def _sentence(line: Line) -> str:
     asked = {"≥": "at least", "≤": "at most", "<": "below"}[line.sense]
     head = line.label
     if line.name == "stable":
-        head = "the loop drifts: of its other roots the rightmost" if line.status is Status.WATCH else "the loop is not stable: its rightmost root"
+        head = "the loop drifts: the rightmost of its other roots" if line.status is Status.WATCH else "the loop is not stable: its rightmost root"
     return f"{head} {found}{place}, asked {asked} {line.asked:.6g}{unit}{note}"
 
 

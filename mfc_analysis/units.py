@@ -1,4 +1,4 @@
-"""Units that users think in, turned into SI and radians."""
+"""Conversion of common units to SI and radians."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def test_good():
 def test_failures_are_in_the_report_with_test_asked_found_and_replay(run):
     result, report = run(FAILING)
     result.assert_outcomes(failed=2, passed=1)
-    result.stdout.fnmatch_lines(["*phase margin is 90 deg (joint, t = 0 s), asked at least 95 deg", "*to see it again:", "*laws.VelocityP(kp=5.0)*"])
+    result.stdout.fnmatch_lines(["*phase margin is 90 deg (joint, t = 0 s), asked at least 95 deg", "*to reproduce it:", "*laws.VelocityP(kp=5.0)*"])
     result.stdout.fnmatch_lines(["*verification report of 3 assertions, 2 failed:", "*verification.json"])
     found = sections(report)
     assert set(found) == {"test_arm.py::test_too_much", "test_arm.py::test_unstable", "test_arm.py::test_good"}
@@ -82,7 +82,7 @@ def test_a_worker_that_crashes_leaves_a_report_that_says_it_is_not_complete(run)
     )
     assert result.ret != 0
     assert "Missing evidence" in sections(report) and report["verdict"]["status"] == "FAIL"
-    result.stdout.fnmatch_lines(["*ended without handing over its assertions*"])
+    result.stdout.fnmatch_lines(["*ended without passing on its assertions*"])
 
 
 def test_a_failure_that_the_test_expects_is_shown_and_does_not_count(run):
@@ -130,7 +130,7 @@ def test_a_folder_that_is_a_file_ends_the_run_before_it_begins(run, pytester):
     (pytester.path / "out").write_text("")
     result, _ = run("\ndef test_nothing():\n    pass\n")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["*takes a folder to write into*"])
+    result.stderr.fnmatch_lines(["*takes an output folder*"])
 
 
 def test_hostile_names_stay_text_and_nothing_is_written_outside(run, pytester):

@@ -55,7 +55,7 @@ def test_a_failure_names_worst_joint_time_asked_and_found_and_its_code_fails_aga
     worst = margins.worst().phase_deg
     first = said.splitlines()[0]
     assert f"{worst[0]:.6g} deg" in first and worst[2] in first and f"t = {worst[1]:.4g} s" in first and "at least 75 deg" in first
-    code = said.split("to see it again:")[1].replace("\n    ", "\n").replace("print(", "found = (")
+    code = said.split("to reproduce it:")[1].replace("\n    ", "\n").replace("print(", "found = (")
     names: dict = {}
     exec(code, names)
     assert names["found"].status == "FAIL"
