@@ -1,4 +1,4 @@
-"""Checks at the public door: each returns the coerced, read-only value or raises ``BadArgument`` naming the argument."""
+"""Checks of public arguments: each returns the coerced, read-only value or raises ``BadArgument``, which names the argument."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def array(argument: str, value: Any, shape: tuple[int | None, ...] | None = None
 
 
 def at_least_1d(argument: str, value: Any) -> Any:
-    """A single number as a list of one; anything else as it is. Raises BadArgument for ragged nests."""
+    """A single number as a list of one; other values unchanged. Raises BadArgument for ragged sequences."""
     try:
         return [value] if np.ndim(value) == 0 else value
     except ValueError as why:
@@ -36,7 +36,7 @@ def at_least_1d(argument: str, value: Any) -> Any:
 
 
 def number(argument: str, value: Any, *, low: float = -np.inf, high: float = np.inf, strict: bool = False, allow_inf: bool = False) -> float:
-    """A finite float in [low, high] (``strict``: low itself excluded)."""
+    """A finite float in [low, high] (``strict``: low is excluded)."""
     bounds = f"a number {'>' if strict else '>='} {low:g}" if high == np.inf and low > -np.inf else f"a number in [{low:g}, {high:g}]"
     said = "a finite number" if low == -np.inf and high == np.inf else bounds
     try:

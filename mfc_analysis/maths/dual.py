@@ -1,7 +1,7 @@
-"""Dual arrays: a value ``(..., k)`` with its tangent ``(..., k, N)``, for many points in the leading axes at once.
+"""Dual arrays: a value ``(..., k)`` with its tangent ``(..., k, N)``, for many points along the leading axes.
 
-A law written over these functions gives, called with plain arrays, the right-hand side of a simulation; called with dual
-arrays, the exact Jacobian at every point. The tangent axis is last, so a chain rule is one batched ``@``.
+A law written with these functions gives the right-hand side of a simulation for plain arrays, and the exact Jacobian at every
+point for dual arrays. The tangent axis is last, so a chain rule is one batched ``@``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mfc_analysis.maths.arrays import Array
 class Dual:
     """A value and its derivatives along N directions; arithmetic follows the product rule."""
 
-    __array_ufunc__ = None  # numpy hands mixed operations over to us
+    __array_ufunc__ = None  # numpy passes mixed operations to this class
     __slots__ = ("tangent", "value")
 
     def __init__(self, value: Array, tangent: Array) -> None:
@@ -64,9 +64,9 @@ def value(x: Vector) -> Array:
 
 
 def chain(out: Array, *partials: tuple[Callable[[], Array], Vector]) -> Array | Dual:
-    """The chain rule: ``out`` as it is if every argument is plain, else with tangent sum of partial @ tangent.
+    """The chain rule: ``out`` unchanged if every argument is plain, otherwise with tangent sum of partial @ tangent.
 
-    Each partial is given as a function of nothing, so that it costs nothing where its argument is plain.
+    Each partial is a function without arguments, so that it is not computed where its argument is plain.
     """
     tangent = None
     for partial, argument in partials:
@@ -96,7 +96,7 @@ def elementwise(x: Vector, f: Callable[[Array], Array], df: Callable[[Array], Ar
 
 
 def concatenate(parts: Sequence[Vector]) -> Array | Dual:
-    """Join along the component axis; plain parts among dual ones get a zero tangent."""
+    """Joins along the component axis; plain parts among dual ones get a zero tangent."""
     duals = [p for p in parts if isinstance(p, Dual)]
     if not duals:
         return np.concatenate([np.asarray(p) for p in parts], axis=-1)

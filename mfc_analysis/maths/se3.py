@@ -1,9 +1,9 @@
 """Rigid motions: exponential, logarithm and its derivative, adjoint; poses, for plain and dual arrays.
 
-Twists and wrenches are (linear, angular). A pose is a 4x4 matrix, ``(..., 4, 4)``, or a ``Pose`` where derivatives are
-carried: then its tangent is a body twist. ``Jlog6`` is a closed form of our own, with a series below 0.5 rad: near
-small angles, where a tracking error lives, it is exact to rounding (Bullo & Murray, "Proportional derivative (PD) control
-on the Euclidean group", 1995, give the four-bracket form).
+Twists and wrenches are (linear, angular). A pose is a 4x4 matrix, ``(..., 4, 4)``, or a ``Pose`` with derivatives, whose
+tangent is a body twist. ``Jlog6`` is a closed form with a series below 0.5 rad: at the small angles of a tracking error it is
+exact to rounding (Bullo & Murray, "Proportional derivative (PD) control on the Euclidean group", 1995, give the four-bracket
+form).
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def Jlog6(xi: Array) -> Array:
 
 
 def log_rate(xi: Vector, V: Vector) -> Array | Dual:
-    """The rate of log X when X moves with body twist V: Jlog6(xi) V, with both arguments plain or dual."""
+    """The rate of log X when X moves with body twist V: Jlog6(xi) V; both arguments plain or dual."""
     A, B = log_coefficients(xi)
     a1 = bracket(xi, V)
     a2 = bracket(xi, a1)
@@ -221,7 +221,7 @@ class Pose:
         return out if dV is None else Dual(out, Ad @ dV)
 
     def log(self) -> Array | Dual:
-        """log6 with the exact tangent; ``NearPi`` within 1e-3 rad of pi."""
+        """log6 with the exact tangent. Raises ``NearPi`` within 1e-3 rad of pi."""
         xi = log6(self.matrix)
         angle = np.sqrt(np.sum(xi[..., 3:] ** 2, axis=-1))
         if np.any(angle > np.pi - 1e-3):
@@ -230,7 +230,7 @@ class Pose:
 
 
 def pose_matrix(argument: str, X: object) -> Array:
-    """A 4x4 rigid transform at the door: an array or an object with ``homogeneous`` (a Pinocchio SE3). Raises BadArgument."""
+    """Checks a 4x4 rigid transform: an array or an object with ``homogeneous`` (a Pinocchio SE3). Raises BadArgument."""
     takes = "a rigid transform: a 4x4 array (rotation, position, last row 0 0 0 1) or a Pinocchio SE3"
     raw = getattr(X, "homogeneous", X)
     try:
