@@ -368,7 +368,7 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
                 takes = f"a law with torque inputs; {name} commands joint velocities (velocity_lag, delay, sample_time apply)"
                 raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), takes)
         if equations.surfaces:
-            takes = f"a law with torque inputs; under {name} the joints follow the commanded velocity, whatever the contact force"
+            takes = f"a law with torque inputs; under {name} the joints follow the commanded velocity at any contact force"
             raise Unsupported("environment", equations.surfaces[0], takes)
     elif hardware.velocity_lag is not None:
         takes = f"a law with velocity inputs (9.1-9.5); {name} commands torques: use torque_lag"

@@ -64,7 +64,7 @@ class JointReference:
     q: Vector  #: (..., n)
     v: Vector
     a: Vector
-    F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) what the tool shall apply, tool frame; 0 under a law that asks for no force
+    F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) desired wrench on the environment, tool frame; 0 without a force reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class ToolReference:
     X: Pose
     V: Vector  #: (..., 6) body twist of the reference, in its own frame
     dV: Vector  #: (..., 6)
-    F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) what the tool shall apply, tool frame; 0 under a law that asks for no force
+    F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) desired wrench on the environment, tool frame; 0 without a force reference
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ class Replay:
     """A snippet, and what it cannot reproduce."""
 
     code: str
-    missing: tuple[str, ...]  #: a sentence each; empty: the snippet runs as it stands
+    missing: tuple[str, ...]  #: a sentence each; empty: the snippet runs unchanged
 
     def __str__(self) -> str:
         return self.code if not self.missing else "\n".join([self.code, *(f"# to fill in: {what}" for what in self.missing)])

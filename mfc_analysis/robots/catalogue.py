@@ -91,7 +91,7 @@ def rp(masses: ArrayLike = (4.0, 1.0), inertias: ArrayLike = (0.1, 0.02), com_di
 def planar_2r(gravity: float = EARTH) -> Robot:
     r"""Siciliano's two-link arm in the vertical x-y plane, motors included; gravity along -y.
 
-    a = 1 m, l = 0.5 m, m_l = 50 kg, I_l = 10 kg m^2 for both links; motors of 5 kg and 0.01 kg m^2 behind gears of 100, the second
+    a = 1 m, l = 0.5 m, m_l = 50 kg, I_l = 10 kg m^2 for both links; motors of 5 kg and 0.01 kg m^2 with gears of 100, the second
     carried at the elbow. M(q) and g(q) are exactly those of the book, with the term k_r I_m of the second rotor that couples the joints. The
     model has this term as a body of inertia k_r I_m fixed to link 2, minus the same armature on both joints; in a plane this is equal.
 

@@ -26,7 +26,7 @@ from mfc_analysis.simulation.run import FAR, DenseOutput, Disturbance, Event, Ou
 from mfc_analysis.simulation.sampled import run_sampled
 
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
-SHORTEST = 1e-9  #: [s] a shorter run is refused
+SHORTEST = 1e-9  #: [s] shortest run; a shorter one raises BadArgument
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ class Validation:
     taylor_order: float  #: 2.0: the remainder shrinks with the square; inf: no remainder above rounding (the loop is linear)
     nrmse: float  #: rms(nonlinear - linear) / rms(nonlinear) of the joint deviations, at ``size``
     radius: float  #: [rad, m] largest size at which nrmse stays below 5 %; inf if it does up to 3
-    sizes: Array  #: (k,) the sizes behind ``taylor_order``
+    sizes: Array  #: (k,) the sizes that give ``taylor_order``
     remainders: Array  #: (k,) largest |nonlinear - linear| over the run
     t: Array  #: (N,) [s]
     nonlinear: Array  #: (N, n) joint deviations of the nonlinear run at ``size``
