@@ -104,7 +104,7 @@ class Collector:
         """A worker passes its records on; any other process writes the report."""
         self.stack.close()
         if self.worker:
-            self.config.workeroutput[KEY] = pickle.dumps(self.records)  # type: ignore[attr-defined]  # of xdist
+            self.config.workeroutput[KEY] = pickle.dumps(self.records)  # type: ignore[attr-defined]  # an attribute of xdist
         elif self.records or self.lost:
             from mfc_analysis.report import render
             from mfc_analysis.report.verification import verification_document, with_outcomes

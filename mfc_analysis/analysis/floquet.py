@@ -122,7 +122,7 @@ def transition_magnus(A_nodes: Array, h: float | Array) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):
         Omega = h / 2 * (A1 + A2) + math.sqrt(3) / 12 * h**2 * (A2 @ A1 - A1 @ A2)
         if not np.isfinite(Omega).all():
-            raise BadArgument("A_nodes", "A h that is not finite", "finite matrices, and steps short enough for them")
+            raise BadArgument("A_nodes", "A h that is not finite", "finite matrices and shorter steps")
         return np.asarray(expm(Omega), float)
 
 
@@ -215,7 +215,7 @@ def transient_growth(Phi: Array, times: Array) -> TransientGrowth:
     if Phi.ndim != 3 or Phi.shape[0] != np.size(times) or Phi.shape[0] == 0:
         raise BadArgument("Phi", f"shape {Phi.shape}", f"transition matrices (N, n, n) at N = {np.size(times)} times, at least one")
     if not np.isfinite(Phi).all():
-        raise BadArgument("Phi", "entries that are not finite", "a path short enough that nothing grows beyond all numbers")
+        raise BadArgument("Phi", "entries that are not finite", "a shorter path: the transition matrices overflow on this one")
     singular = np.linalg.norm(Phi, 2, axis=(-2, -1))
     k = int(np.argmax(singular))
     direction = np.linalg.svd(Phi[k])[2][0]

@@ -83,7 +83,7 @@ def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
         rows[:, ny + wire] = 0.0
         rows[:, ny + wire, start + depth - 1] = 1.0
     if not (np.isfinite(Z).all() and np.isfinite(rows).all()):
-        raise BadArgument("sample_time", h, "a sample short enough that nothing grows beyond all numbers within it")
+        raise BadArgument("sample_time", h, "a shorter sample time: the plant overflows within this one")
     n = nx + layout.registers
     return replace(
         system,

@@ -148,11 +148,11 @@ class Law(ABC):
 
     @classmethod
     def parameters(cls) -> tuple[str, ...]:
-        """What a law of this class is made from, in order."""
+        """Names of the parameters of a law of this class, in order."""
         return tuple(f.name for f in fields(cls) if f.init)  # type: ignore[arg-type]  # subclasses are dataclasses
 
     def changed(self, **values: Any) -> Self:
-        """The same law with some parameters changed. Raises TypeError for one that it does not take, BadArgument for a value that does not fit."""
+        """The same law with some parameters changed. Raises TypeError for an unknown parameter, BadArgument for a bad value."""
         return replace(self, **values)  # type: ignore[type-var]  # subclasses are dataclasses
 
     @property

@@ -7,7 +7,7 @@ from typing import cast
 
 
 def root_between(f: Callable[[float], float], left: float, right: float, *, xtol: float = 2e-12, rtol: float = 1e-14) -> float:
-    """Where f changes its sign between left and right. Raises ValueError where f has the same sign at both."""
+    """The point between left and right where f changes sign. Raises ValueError where f has the same sign at both."""
     from scipy.optimize import brentq
 
     return cast(float, brentq(f, left, right, xtol=xtol, rtol=rtol))  # pyright: ignore[reportArgumentType]  # scipy has no types

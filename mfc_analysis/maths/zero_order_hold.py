@@ -12,9 +12,9 @@ from mfc_analysis.maths.arrays import Array
 
 
 def zero_order_hold(A: Array, B: Array, h: float) -> tuple[Array, Array]:
-    """exp(A h) and int_0^h exp(A s) ds B: x(h) = exp(A h) x(0) + that times u.
+    """Phi = exp(A h) and Gamma = int_0^h exp(A s) ds B, so that x(h) = Phi x(0) + Gamma u.
 
-    A: (..., n, n), B: (..., n, k), h [s]. Returns (..., n, n), (..., n, k); not finite where a growing loop overflows.
+    A: (..., n, n), B: (..., n, k), h [s]. Returns (..., n, n), (..., n, k); not finite where an unstable system overflows.
     Raises ``BadArgument`` where A h or B h is not finite.
     """
     from scipy.linalg import expm
