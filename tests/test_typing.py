@@ -46,6 +46,14 @@ def checked(tool: str, folder: Path, *files: str) -> subprocess.CompletedProcess
     return subprocess.run([sys.executable, *options, *files], cwd=folder, env=environment, capture_output=True, text=True)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def pyright() -> None:
+    """pyright is there, or npm can bring it."""
+    there = subprocess.run([sys.executable, "-m", "pyright", "--version"], capture_output=True).returncode == 0
+    if not there and not os.environ.get("MFC_PYRIGHT_REQUIRED"):
+        pytest.skip("pyright cannot be run here: no npm, or no network")
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A user's folder, whose checkers know where the package is."""

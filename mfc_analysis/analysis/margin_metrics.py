@@ -32,6 +32,7 @@ class MarginMetrics:
 
 
 def put(metrics: MarginMetrics, index: Ints, found: MarginMetrics) -> None:
+    """Write the metrics found at the points ``index`` into those of all points."""
     for name, values in vars(metrics).items():
         values[index] = getattr(found, name)
 

@@ -104,7 +104,7 @@ def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
     rows = []
     for loop, row in cells.items():
         others = max((row[name] for name in rare if name in row), key=lambda pair: pair[1].severity, default=None)
-        last = (_cell(others, keys, others[1].name if others else ""),) if rare else ()
+        last = (_cell(others, keys, others[1].label if others else ""),) if rare else ()
         found = (*(_cell(row.get(name), keys, unit=shared.get(name)) for name in names), *last)
         rows.append((f"{loop} (shown)" if loop in shown else loop, keys[id(first[loop])], found))
     heads = tuple(f"{name} [{shared[name]}]" if shared.get(name) else name for name in names) + (("other checks",) if rare else ())

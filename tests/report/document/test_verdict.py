@@ -61,7 +61,7 @@ def test_every_cell_of_the_matrix_leads_to_the_section_of_its_check():
 
 def test_checks_that_few_loops_have_share_a_column_of_a_wide_matrix():
     common = tuple(Line(f"c{i}", 1.0, 2.0, "", 1.0, Status.PASS) for i in range(8))
-    odd = Line("odd", 1.0, 0.5, "m", -0.5, Status.FAIL)
+    odd = Line("odd_one", 1.0, 0.5, "m", -0.5, Status.FAIL, label="odd")
     sections = tuple(Section(f"s{i}", checks=(*common, odd) if i == 0 else common, loop=f"s{i}") for i in range(6))
     found = matrix(Document("t", "s", sections), {id(s): s.title for s in sections})
     assert found.columns == (*(f"c{i}" for i in range(8)), "other checks")
