@@ -159,6 +159,7 @@ def _or_none(name: str, ki: float) -> float | None:
 
 
 def _run(name: str, law: Any, target_deg: float, velocity_deg: float, link: Link, duration: float, advice: Callable[[float], str]) -> JointRun:
+    from mfc_analysis.laws import JointPID
     from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.robots import single_joint
     from mfc_analysis.trajectories import Hold, Quintic
@@ -173,7 +174,7 @@ def _run(name: str, law: Any, target_deg: float, velocity_deg: float, link: Link
     loop = ClosedLoop(robot, law, Quintic([0.0], [target], moving) if speed else Hold([target]))
     at_rest = ClosedLoop(robot, law, Hold([target]))
     lin, rests_at = at_rest.linearize(), target
-    if not law.ki and type(law).__name__ == "JointPID":  # no integral: the joint sags and rests below the target
+    if isinstance(law, JointPID) and not law.ki:  # no integral: the joint sags and rests below the target
         try:
             rests_at = float(at_rest.equilibrium().q[0])
             lin = at_rest.linearize(about="equilibrium")
