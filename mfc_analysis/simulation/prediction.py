@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations_with_replacement, pairwise
+
 import numpy as np
 
 from mfc_analysis.analysis.floquet import gauss_nodes, transition_magnus
@@ -18,12 +20,11 @@ from mfc_analysis.simulation.simulation import Simulation
 def delayed(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
     """(N, nx) x' = A(t) x + B w(t - T), w = C x + D w(t - T) along the base run, from ``direction``; before the start w is constant.
 
-    Runge-Kutta of fourth order on segments no longer than the shortest dead time, A(t) a cubic through four points of each.
+    Runge-Kutta of fourth order on segments no longer than the shortest dead time and without a kink inside, A(t) a cubic through four points of each.
     """
-    delays = list(e.delays.values())
-    whole = max(int(np.ceil((t[-1] - t[0]) / min(delays) - 1e-9)), 1)
-    edges = np.linspace(t[0], t[-1], whole + 1)
-    at_thirds = np.linspace(t[0], t[-1], 3 * whole + 1)
+    edges = segments(float(t[0]), float(t[-1]), list(e.delays.values()))
+    whole = len(edges) - 1
+    at_thirds = np.interp(np.arange(3 * whole + 1) / 3, np.arange(whole + 1), edges)
     sent = None if base.arrived is None else {e.actuator: np.stack([base.arrived(float(ti)) for ti in at_thirds])}
     system = open_system(e, at_thirds, base.state(at_thirds), arriving=sent)
     late = system.wire_delay > 0
@@ -34,7 +35,7 @@ def delayed(e: Equations, base: Simulation, t: Array, direction: Array) -> Array
     out = np.empty((len(t), e.nx))
     x = direction.copy()
     past = History(float(t[0]), np.asarray(np.linalg.solve(np.eye(late.sum()) - D[0, ny:, nu:], C[0, ny:] @ x), float))
-    substeps = 8
+    substeps = 24  # the error of a step is well below the rounding that ``validate`` allows for
     for k in range(whole):
         start, h = float(edges[k]), float(edges[k + 1] - edges[k]) / substeps
         states = [x]
@@ -62,6 +63,19 @@ def delayed(e: Equations, base: Simulation, t: Array, direction: Array) -> Array
         signals = np.stack([Ct.at(k, float(ti)) @ xi + Dt.at(k, float(ti)) @ arriving(float(ti)) for ti, xi in pairs])
         past.add(start, float(edges[k + 1] - start), signals)
     return out
+
+
+def segments(start: float, end: float, delays: list[float]) -> Array:
+    """(N + 1,) [s] edges of segments no longer than the shortest dead time.
+
+    A signal that is constant before the start has a kink there. It comes back after each dead time and after each sum of them, smoother by one
+    order each time; the first five are edges.
+    """
+    late = [sum(some) for count in range(1, 6) for some in combinations_with_replacement(delays, count)]
+    marks = np.unique([0.0, *(d for d in late if d < end - start), end - start])
+    marks = marks[np.concatenate(([True], np.diff(marks) > 1e-9 * (end - start)))]
+    pieces = [np.linspace(a, b, max(int(np.ceil((b - a) / min(delays) - 1e-9)), 1) + 1)[:-1] for a, b in pairwise(marks)]
+    return np.asarray(start + np.concatenate([*pieces, [end - start]]), float)
 
 
 class _Cubic:

@@ -14,7 +14,7 @@ from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.loop import ClosedLoop
-from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
+from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest, segments
 from mfc_analysis.simulation.simulation import Simulation
 from mfc_analysis.trajectories import Hold
 from tests.conftest import arm, moving, plant, regular_pose
@@ -119,3 +119,17 @@ def test_along_a_moving_path_the_frozen_prediction_is_not_the_other_one() -> Non
     true = (run.x - base.x)[:, :2] / small
     misfit = {p: np.abs(p(loop.equations, base, t, direction)[:, :2] - true).max() for p in (sampled_along, sampled_at_rest)}
     assert misfit[sampled_along] < 1e-4 < 0.02 < misfit[sampled_at_rest]
+
+
+@pytest.mark.parametrize("delay", [0.03, 0.11, 0.25])
+def test_an_exactly_linear_loop_has_order_inf_whether_or_not_its_dead_time_divides_the_run(delay: float) -> None:
+    """A kink inside a Runge-Kutta step made this 1.0: "the linearisation is wrong"."""
+    found = velocity(0.8 / delay, delay=delay).validate(time=1.0)
+    assert found.taylor_order == np.inf and found.nrmse < 1e-8
+
+
+def test_the_kinks_of_two_dead_times_and_of_their_sums_are_edges() -> None:
+    edges = segments(2.0, 3.0, [0.11, 0.3])
+    assert edges[0] == 2.0 and edges[-1] == 3.0 and np.diff(edges).max() <= 0.11 + 1e-12 and np.diff(edges).min() > 1e-9
+    for kink in (0.11, 0.22, 0.3, 0.41, 0.6, 0.71):
+        assert np.abs(edges - 2.0 - kink).min() < 1e-12
