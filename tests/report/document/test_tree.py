@@ -1,0 +1,86 @@
+"""A document as plain data: keys, numbers of tables and figures, links, the order of what is made for the pages."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+from mfc_analysis.report.document import document as s
+from mfc_analysis.report.document.tree import clean, complex_written, every_block, slug, tree
+from mfc_analysis.requirements.line import Line, Status
+from tests.report import samples
+
+MINUS = "\N{MINUS SIGN}"
+
+
+def ids(sections: list[dict]) -> list[str]:
+    return [x for one in sections for x in (one["id"], *ids(one["sections"]))]
+
+
+def figure(name: str) -> s.Figure:
+    return s.Figure(partial(int), name, f"{name} 1")
+
+
+def test_front_and_back_stand_around_the_documents_own_sections() -> None:
+    made = samples.document()
+    found = [x["id"] for x in tree(replace(made, appendices=(s.Section("More"),))).root["sections"]]
+    own = [slug(f"{x.loop} {x.title}" if x.loop else x.title) for x in made.sections]
+    assert found == ["worst-case", "scope", *own, "provenance", "more", "symbols"]  # of one loop there is no matrix
+    assert [x["id"] for x in tree(samples.chapter()).root["sections"]][:2] == ["matrix", "worst-case"]
+    assert "matrix" not in ids(tree(replace(samples.chapter(), matrix=False)).root["sections"])
+
+
+def test_sections_of_one_title_have_keys_of_their_own_and_levels_go_down() -> None:
+    inner = s.Section("Poles")
+    root = tree(s.Document("t", "u", (s.Section("Poles", sections=(inner,)), s.Section("Poles"), s.Section("Top")))).root
+    assert ids(root["sections"]) == ["poles", "poles-2", "poles-3", "top-2"]  # "top" is the page's own
+    assert [root["sections"][0]["level"], root["sections"][0]["sections"][0]["level"]] == [1, 2]
+
+
+def test_tables_and_figures_are_counted_through_rows_and_comparisons_in_the_order_of_the_page() -> None:
+    table = s.Table("c", (s.Column("a"),), ((1,),))
+    sides = s.Compare(s.Side("l", Status.PASS, (figure("f2"), table)), s.Side("r", Status.FAIL, (figure("f3"),)), "cost")
+    made = tree(
+        s.Document("t", "u", (s.Section("one", body=(table, s.Row((figure("f0"), figure("f1"))), sides)), s.Section("two", body=(figure("f4"),))))
+    )
+    blocks = list(every_block(made.root["sections"]))
+    figures = [b for b in blocks if b["k"] == "figure"]
+    assert [(b["number"], b["id"], b["alt"]) for b in figures] == [(i + 1, f"f{i + 1}", f"f{i} 1") for i in range(5)]
+    assert [b["number"] for b in blocks if b["k"] == "table"] == [1, 2]
+    assert {key: x.caption for key, x in made.figures.items()} == {f"f{i + 1}": f"f{i}" for i in range(5)}
+
+
+def test_one_equation_in_two_places_is_compiled_once_and_a_display_apart_from_a_line() -> None:
+    text = (s.Math("K_p"), " and ", s.Math("K_p"))
+    made = tree(s.Document("t", "u", (s.Section("one", text, (s.Equation("K_p", "gain"), s.Equation("K_i", "gain"))),)))
+    assert sorted(made.equations.values()) == [("K_i", True), ("K_p", False), ("K_p", True)]
+    a, _, b = made.root["sections"][0]["finding"]
+    assert a["id"] == b["id"] and made.equations[a["id"]] == ("K_p", False)
+
+
+def test_a_link_leads_only_to_a_section_that_is_there_and_the_verdict_to_the_worst_check() -> None:
+    bad = Line("x", 1.0, 0.0, "", -1.0, Status.FAIL)
+    spans = (s.Link("there", "b-two"), s.Link("nowhere", "c"))
+    root = tree(s.Document("t", "u", (s.Section("a one", spans), s.Section("b two", checks=(bad,))))).root
+    own = {x["id"]: x for x in root["sections"]}
+    assert [x["to"] for x in own["a-one"]["finding"]] == ["b-two", ""]
+    assert root["verdict"]["to"] == "b-two" and [x["to"] for x in own["worst-case"]["finding"] if x["k"] == "link"] == ["b-two"]
+    assert own["b-two"]["blocks"][0]["k"] == "table"  # what was asked stands first
+
+
+@pytest.mark.parametrize(("z", "said"), [
+    (-3 + 4j, f"{MINUS}3.00 ± 4.00j"), (-3 - 4j, f"{MINUS}3.00 ∓ 4.00j"), (-3 + 1e-12j, f"{MINUS}3.00"), (2j, "0 ± 2.00j"), (0j, "0"),
+])  # fmt: skip
+def test_a_pole_is_written_as_a_pair_where_it_has_an_imaginary_part(z: complex, said: str) -> None:
+    assert complex_written(z) == said
+    table = s.Table("c", (s.Column("p"),), ((z,),))
+    (block,) = tree(s.Document("t", "u", (s.Section("a", body=(table,)),))).root["sections"][0]["blocks"]
+    assert block["rows"][0][0]["spans"] == [{"k": "text", "t": said}]
+
+
+def test_keys_are_plain_words_and_texts_lose_what_no_page_can_hold() -> None:
+    assert [slug(x) for x in ("9.8 Unabhängig: PID", "☃", "../../etc", "a" * 80)] == ["9-8-unabhangig-pid", "section", "etc", "a" * 60]
+    assert clean("a\x00b\nc\x7f\ud800") == "a b c \N{REPLACEMENT CHARACTER}"
+    assert clean("a\nb\tc", newlines=True) == "a\nb c"
