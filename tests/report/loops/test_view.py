@@ -1,0 +1,61 @@
+"""A loop as a report sees it: its worst place, which channels are fed back, the span of its figures, how long a run is followed."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import mfc_analysis as mfc
+from mfc_analysis.report.loops.view import FAR, MOST_DECADES, place_words
+from tests.report.loops.views import MGR, B, H, I, L, T, falling, joint, links, mass, open_loop, planar, unstable, velocity, view
+
+
+def test_the_worst_place_is_where_python_control_has_the_smallest_phase_margin() -> None:
+    kp, ki, kd = 20.0, 30.0, 3.0
+    ref, times = T.Quintic([-0.5], [1.3], 2.0), np.linspace(0.0, 2.0, 9)
+    found = view(mfc.ClosedLoop(joint(), L.JointPID(kp, ki, kd), ref), times)
+    phases = [control.margin(control.tf([kd, kp, ki], [I, B, -MGR * np.sin(q), 0.0]))[1] for q in ref(times).q[:, 0]]
+    assert found.worst.row == int(np.argmin(phases)) > 0 and found.worst.time == times[found.worst.row]
+    assert found.margins.phase_deg[found.worst.row, 0] == pytest.approx(min(phases), rel=1e-6)
+    L_here = found.response(np.array([2.0, 5.0]))
+    s = 2j, 5j
+    angle = ref(found.worst.time).q[0]
+    assert_allclose(L_here, [(kd * x**2 + kp * x + ki) / (x * (I * x**2 + B * x - MGR * np.sin(angle))) for x in s], rtol=1e-9)
+
+
+def test_of_an_unstable_path_the_worst_place_is_the_rightmost_root() -> None:
+    found = falling()
+    assert not found.stable and found.worst.time == 2.0
+    top = np.roots([I, B + 1.0, 0.4 - MGR * np.sin(1.3)]).max()
+    assert found.growth == pytest.approx(top, rel=1e-9) and mass().growth == 0.0
+    assert found.evidence.judged.tolist() == [MGR * np.sin(q) < 0.4 for q in found.loop.nominal(found.times).q[:, 0]]
+
+
+def test_a_channel_without_a_gain_is_not_fed_back_and_is_never_the_worst() -> None:
+    found = view(mfc.ClosedLoop(planar(), L.VelocityP([0.0, 4.0]), T.Hold([0.3, 0.2])))
+    assert found.fed_back.tolist() == [False, True] and found.worst.name == planar().joint_names[1]
+    assert links().fed_back.tolist() == [True, True] and not open_loop().fed_back.any()
+
+
+def test_figures_span_the_poles_and_crossings_and_end_below_half_the_sample_rate() -> None:
+    grid = velocity().frequencies(50)
+    assert grid.size == 50 and grid[0] < 4.0 / 10 and grid[-1] > 4.0 * 10
+    dt = 8e-3
+    assert velocity(hardware=H(sample_time=dt)).frequencies()[-1] == pytest.approx(np.pi / dt, rel=1e-6)
+    wide = mass(1e6, 1e9).frequencies()  # poles at 1e-3 and 1e9, crossover at 1e9
+    assert np.log10(wide[-1] / wide[0]) <= MOST_DECADES and wide[0] < 1e9 / 10 < 1e9 * 10 < wide[-1]
+
+
+def test_a_run_is_followed_to_its_end_only_where_the_loop_stays_near() -> None:
+    assert mass().calm(50.0) == 50.0
+    found = falling()
+    span = found.calm(50.0)
+    run = found.loop.simulate(found.worst.time + np.linspace(0.0, span, 9), x=found.lin.point.x[found.worst.row])
+    assert span < 50.0 and np.abs(run.error - run.error[0]).max() > FAR
+    assert unstable().calm(0.1) == 0.1
+
+
+def test_a_place_has_its_time_only_on_a_path() -> None:
+    assert [place_words("elbow", 0.25, count) for count in (1, 2)] == ["elbow", "elbow, t = 0.25 s"]
