@@ -99,6 +99,12 @@ def test_no_private_attribute_is_used_away_from_the_file_that_makes_it(name: str
             assert made or node.attr in ("_replace", "_fields"), f"{name}:{node.lineno} uses {node.attr}"
 
 
+def test_every_file_of_the_package_has_a_test_file_at_the_mirrored_path() -> None:
+    files = [path.relative_to(ROOT / PACKAGE) for path in FILES.values() if path.name not in ("__init__.py", "__main__.py")]
+    missing = [str(path) for path in files if not (ROOT / "tests" / path.with_name(f"test_{path.name}")).is_file()]
+    assert files and not missing
+
+
 def test_the_top_holds_the_door_and_what_belongs_to_no_room() -> None:
     flat = {path.name for path in (ROOT / PACKAGE).iterdir() if path.suffix == ".py"} - {"__init__.py"}
     assert flat == {f"{name}.py" for name in ("__main__", "errors", "exercises", "loop", "notebook", "pytest_plugin", "testing", "units")}
