@@ -48,7 +48,9 @@ class _Builder:
         found = judged.verdict(document)
         front = [self._matrix(), self._worst(found), *self.front]
         back = self._back()
-        sections = [self._section(x, 1) for x in (*[f for f in front if f is not None], *document.sections, *back)]
+        own = {id(x) for x in (*document.sections, *document.appendices)}
+        shown = (*[f for f in front if f is not None], *document.sections, *back)
+        sections = [self._section(x, 1) | {"own": id(x) in own} for x in shown]
         target = self.keys.get(id(found.section), "") if found.section is not None else ""
         self.out.root = {
             "title": document.title,

@@ -68,12 +68,8 @@ def plain(value: Any, infinite: str = "infinite", undefined: str = "not defined"
 
 def _pairs(document: s.Document, roots: list[dict[str, Any]]) -> list[tuple[s.Section, dict[str, Any]]]:
     """The sections of the document with their plain form; those added for the pages (matrix, worst case, symbols) have no numbers."""
-    mine = [*document.sections, *document.appendices]
-    titles = iter(roots)
-    out = []
-    for section in mine:
-        out.append((section, next(r for r in titles if r["title"] == section.title)))
-    return out
+    own = [root for root in roots if root["own"]]
+    return list(zip((*document.sections, *document.appendices), own, strict=True))
 
 
 def _section(section: s.Section, plain_form: dict[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+import pytest
 
 from mfc_analysis.report.document import document as s
 from mfc_analysis.report.document.tree import tree
@@ -48,7 +49,7 @@ def test_cells_of_a_table_stay_numbers_and_text_loses_its_markup() -> None:
     table = s.Table("c", tuple(s.Column(f"{i}") for i in range(len(row))), (row,))
     (section,) = data(s.Section("one", body=(table,)))["sections"]
     assert section["tables"][0]["rows"] == [
-        ["with gain", {"value": "minus never", "unit": "s"}, {"re": -1.0, "im": 2.0}, "WATCH", 3, True, "x"]
+        ["with gain", {"value": "minus infinity", "unit": "s"}, {"re": -1.0, "im": 2.0}, "WATCH", 3, True, "x"]
     ]  # fmt: skip
     assert words((s.Strong("a"), " ", s.Math("b"), s.Link("c", "d"))) == "a bc"
 
@@ -68,3 +69,13 @@ def test_values_of_our_own_become_plain_data_all_the_way_down() -> None:
     found = plain(given)
     assert found["1"] == {"x": "infinite", "y": [1.0, "not defined"]} and found["e"] == "the first" and found["n"] == [3, True]
     assert isinstance(found["o"], str) and json.loads(to_json(found)) == found
+
+
+@pytest.mark.parametrize("title", ["Scope", "The worst case", "All loops at a glance", "Symbols"])
+def test_a_loop_may_have_the_name_of_a_section_of_the_pages(title: str) -> None:
+    """Sections were matched by their titles, and this one met the page's own: the JSON could not be written."""
+    line = Line("x", 1.0, 0.5, "", -0.5, Status.FAIL)
+    own = s.Section(title, "A finding.", checks=(line,), numbers={"here": 1.0}, loop=title)
+    other = s.Section("Other", "Another.", checks=(line,), numbers={"here": 2.0}, loop="Other")
+    found = data(own, other, scope=s.Scope(("a model",), ("an assumption",), ("a point",), ("all else",)))["sections"]
+    assert [(x["title"], x["numbers"]["here"]) for x in found] == [(title, 1.0), ("Other", 2.0)]
