@@ -227,8 +227,7 @@ class Linearization:
         """Disk margin of all loops at once (m,), at one analysis point or several together. Raises UnknownPoint."""
         from mfc_analysis.analysis.disk import disk_margin
 
-        one = at if at is None or isinstance(at, str) else None
-        points = tuple(self._at(x) for x in at) if at and not isinstance(at, str) else (self._at(one),)
+        points = tuple(self._at(one) for one in at) if isinstance(at, (list, tuple)) and at else (self._at(at),)
         grid = None if frequencies is None else checks.array("frequencies", frequencies, (None,))
         return disk_margin(self._opened_for(*points), points[0] if len(points) == 1 else points, grid)
 
@@ -258,7 +257,7 @@ class Linearization:
 
     # --- arguments and text --------------------------------------------------------------------------------------
 
-    def _at(self, at: str | None) -> str:
+    def _at(self, at: object) -> str:
         if at is not None and not isinstance(at, str):
             raise UnknownPoint(repr(at), type(self.equations.law).__name__, self.equations.law.opens_at)
         return self.equations.actuator if at is None else at
