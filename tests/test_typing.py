@@ -41,7 +41,7 @@ CODE = {"readme": blocks("README.md"), "adding": blocks("docs/adding.md"), "unpa
 
 
 def checked(tool: str, folder: Path, *files: str) -> subprocess.CompletedProcess[str]:
-    options = {"mypy": ["-m", "mypy", "--strict", "--no-error-summary"], "pyright": ["-m", "pyright"]}[tool]
+    options = {"mypy": ["-m", "mypy", "--strict", "--no-error-summary"], "pyright": ["-m", "pyright", "--pythonpath", sys.executable]}[tool]
     environment = os.environ | {"MYPYPATH": str(ROOT), "PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
     return subprocess.run([sys.executable, *options, *files], cwd=folder, env=environment, capture_output=True, text=True)
 

@@ -33,12 +33,12 @@ def test_a_law_of_ones_own_is_judged_like_the_law_that_it_is(case: Case) -> None
     loop = loop_of(case, "ur5", contact=case.law(6).plant == "torque")
     mine = replace(loop, law=the_same_as_ones_own(loop.law))
     assert mine.law.equation != loop.law.equation
-    times = [0.0] if loop.ref.is_hold else [0.0, 0.4]
+    times = [0.4]
     one, two = loop.linearize(times), mine.linearize(times)
     assert_array_equal(two.A, one.A)
     assert_array_equal(two.stable, one.stable)
     assert (two.coordinates, two.output_names, two.opened.points) == (one.coordinates, one.output_names, one.opened.points)
-    asked = mfc.Requirements(phase_deg=30, settling_time=0.5, overshoot=0.3, tracking_error=1e-3)
+    asked = mfc.Requirements(phase_deg=30, settling_time=0.5)
     a, b = asked.check(loop, times), asked.check(mine, times)
     assert [str(line) for line in b.lines] == [str(line) for line in a.lines]
     assert (b.status, b.notes) == (a.status, a.notes)
