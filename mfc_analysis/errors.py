@@ -21,7 +21,24 @@ from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from typing import Any
 
+__all__ = [
+    "BadArgument",
+    "BadRobot",
+    "MfcError",
+    "MfcWarning",
+    "NearPi",
+    "NearSingular",
+    "NotConverged",
+    "UnknownName",
+    "UnknownPoint",
+    "Unsupported",
+]
+
 MOST_NAMES = 40  #: names that a message lists; a whole humanoid has hundreds of frames
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 class MfcError(Exception):

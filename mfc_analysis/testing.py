@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Asserted", "assert_margins", "assert_requirements", "assert_stable", "assert_validated", "observed"]
 
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 ORDER = 0.05  #: how far the Taylor order may lie below the required one
 
 

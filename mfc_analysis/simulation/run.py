@@ -160,7 +160,7 @@ class Run:
         def far(t: float, x: Array) -> float:
             return FAR - float(np.abs(x[watch]).max())
 
-        far.terminal = True  # type: ignore[attr-defined]
+        far.terminal = True  # type: ignore[attr-defined]  # solve_ivp reads it there
         return far
 
     def _contacts(self, found: Any) -> list[Event]:

@@ -224,9 +224,9 @@ class Parts:
                 given["outer"] = _outer(table.outer)
             if table.constraints is not None:
                 given["constraints"] = self._constraints(table.constraints)
-            for f in fields(kind):  # type: ignore[arg-type]
-                if f.init and f.name not in given and _is_required(kind, f.name):
-                    raise BadArgument(f.name, None, f"a value, required by {kind.__name__} (eq. {kind.equation})")
+            for name in kind.parameters():
+                if name not in given and _is_required(kind, name):
+                    raise BadArgument(name, None, f"a value, required by {kind.__name__} (eq. {kind.equation})")
             law: Law = kind(**given)
             law.check(self.robot.n)
             return law
