@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from mfc_analysis.plots.batch import in_two_processes
 from mfc_analysis.report.document.document import Column, Document, Number, Scope, Section, Table, written
 from mfc_analysis.report.render.write import FORMATS, Progress, render
 
@@ -32,7 +33,7 @@ def chapter_document(progress: Progress | None = None, parts: Sequence[Part] | N
 
     given = collected() if parts is None else tuple(parts)
     sections: list[Section] = []
-    for k, found in enumerate(_in_two_processes(given) if parts is None else (part() for part in given)):
+    for k, found in enumerate(in_two_processes(given) if parts is None else (part() for part in given)):
         sections += found
         if progress is not None:
             progress(k + 1, len(given))
@@ -82,15 +83,6 @@ def collected() -> tuple[Part, ...]:
             if part is not None:
                 out.append(part)
     return tuple(out)
-
-
-def _in_two_processes(parts: Sequence[Part]) -> Iterable[Iterable[Section]]:
-    """The sections of each part, in order; the parts are independent, and half of them are analysed in a second process."""
-    from joblib import Parallel, cpu_count, delayed
-
-    done: Any = Parallel(n_jobs=min(2, cpu_count()), return_as="generator")(delayed(part)() for part in parts)
-    found: Iterable[Iterable[Section]] = done
-    return found
 
 
 # --- over all loops ----------------------------------------------------------------------------------------------------------
