@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.dynamics.equations import Equations, refuse_what_does_not_apply
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.jacobians import Coordinates
@@ -152,6 +153,7 @@ class ClosedLoop:
         about: About = "reference",
         coordinates: Coordinates | None = None,
         simulation: Simulation | None = None,
+        horizon: float = HORIZON,
     ) -> Linearization:
         """The loop linearised exactly at m times [s].
 
@@ -160,10 +162,11 @@ class ClosedLoop:
             about: "reference" (integral trimmed), "equilibrium" (near a Hold) or "simulation" (along ``simulation``).
             coordinates: "state" (q, v, z, ...) or "error" (X_e, V_e, z, ...); None: "error" for tool laws where J is square and
                 well conditioned, else "state".
+            horizon: [s] of the verdict: roots with |s| < 1/horizon are slow and judged by what they do within it; inf: by their sign.
 
         Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
         """
-        return linearize(self.equations, checks.times(times), about, coordinates, simulation)
+        return linearize(self.equations, checks.times(times), about, coordinates, simulation, horizon)
 
     @property
     def default_at(self) -> str:

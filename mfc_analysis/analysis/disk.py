@@ -26,7 +26,7 @@ from mfc_analysis.analysis.frequency.sensitivity import Opened, opened, sensitiv
 from mfc_analysis.analysis.mu import has_slycot, largest_bound, lower_bound
 from mfc_analysis.analysis.spectrum import rates, spectrum
 from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Complex
@@ -42,6 +42,7 @@ class Bound(Enum):
     UPPER = "a guarantee: from the upper bound of mu; the true margin may be slightly larger"
     BALANCED = "a guarantee: from the balancing bound of mu alone (slycot is not installed); the true margin may be slightly larger"
     NONE = "none: the loop is unstable"
+    NOTHING = "none: every root is slow, nothing holds the loop within the horizon"
 
     def __str__(self) -> str:
         return self.value
@@ -49,13 +50,13 @@ class Bound(Enum):
 
 @dataclass(frozen=True, eq=False)
 class DiskMargin:
-    """Disk margins at m points: all channels perturbed at once, independently. NaN where the loop is not stable."""
+    """Disk margins at m points: all channels perturbed at once, independently. NaN where roots that are not slow are unstable."""
 
     times: Array  #: (m,) [s]
     at: tuple[str, ...]  #: the analysis points opened together
     channels: tuple[str, ...]  #: (k,) names
     stable: Bools  #: (m,) of the closed loop; read this first
-    drifts: Bools  #: (m,) a Jordan chain at zero; alpha is that of the other roots
+    drifts: Bools  #: (m,) the slow part keeps moving within the horizon; alpha is that of the other roots
     alpha: Array  #: (m,) guaranteed disk size, 0..2
     frequency: Array  #: (m,) [rad/s] where the disk is tightest; inf: nowhere below 2
     alpha_above: Array  #: (m,) the true disk size is at most this (a perturbation of this size that destabilises is known)
@@ -120,28 +121,25 @@ def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayL
     """Disk margins at ``at``, a point or several together, e.g. ("torque", "position"): input and output at once.
 
     Args:
-        frequencies: (nf,) [rad/s] > 0, increasing: mu is computed at these (and at infinity) only. None: at frequencies placed by the
-            poles of each point and refined around the peak.
+        frequencies: (nf,) [rad/s] > 0, increasing: mu is computed at these (and at infinity) only. None: from 1/horizon on, at frequencies
+            placed by the poles of each point and refined around the peak.
 
     Dead time is exact. Raises ``UnknownPoint`` where the loop cannot be opened, ``BadArgument`` for other frequencies.
     """
     channels = opened(system, at)
     grid = None if frequencies is None else _frequencies(frequencies, system.dt)
-    known = spectrum(system)
+    known = spectrum(without_idle(system))
     verdict = stability(system, known)
     m = len(system.times)
     alpha, where, above = (np.full(m, np.nan) for _ in range(3))
     placed = None if grid is not None else _placed(system, known.poles)
     for i in np.flatnonzero(verdict.nonzero_stable):
-        own = None
-        if placed is not None:  # also zero frequency, where no root lies there
-            own = np.unique(placed[i]) if known.roots.count[i] else np.unique(np.append(placed[i], 0.0))
-        mu, where[i], lower = _peak(channels, int(i), grid, own)
+        mu, where[i], lower = _peak(channels, int(i), grid, None if placed is None else np.unique(placed[i]))
         alpha[i], above[i] = 1 / mu, 1 / lower
     tight = above - alpha <= EXACT * alpha
     judged = np.isfinite(alpha)
     if not judged.any():
-        bound = Bound.NONE
+        bound = Bound.NONE if verdict.held.any() else Bound.NOTHING
     elif tight[judged].all():
         bound = Bound.EXACT
     else:
@@ -175,7 +173,7 @@ def _placed(system: OpenSystem, poles: Complex) -> Array:
     """Frequencies (m, nf) that resolve every resonance of the closed loop, and the dead times."""
     s = rates(poles, system.dt)
     s = np.where(np.isfinite(s), s, -1.0 / system.dt if system.dt else -1.0)
-    found = frequencies_of_interest(s)
+    found = frequencies_of_interest(s, system.radius)
     if system.dt:
         return np.minimum(found, np.pi / system.dt)
     longest = float(system.wire_delay.max(initial=0.0))

@@ -4,8 +4,9 @@ Definitions. The closed loop stays stable while loop i is multiplied by a gain i
 interval around 1; while its phase changes by less than ``phase_deg``, lead or lag, at any of its crossovers; while it is delayed
 by less than ``delay``. The sensitivity peak is the supremum of |1/(1 + L_i)| over all frequencies, zero and infinity included.
 
-There is no frequency grid: every crossing comes from an eigenvalue problem (``crossings``) and is polished. Roots at zero are
-removed first (``zero_roots``); the metrics are those of the other roots.
+There is no frequency grid: every crossing comes from an eigenvalue problem (``crossings``) and is polished. The contour is Nyquist's,
+indented at the origin by 1/horizon: no frequency below counts, and a gain interval also ends where a slow root leaves the disc
+abs(s) < 1/horizon to the right (``arc``).
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, continuous
 from mfc_analysis.analysis.delay.margins import delayed_metrics
+from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, places
 from mfc_analysis.analysis.frequency.crossings import crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, sensitivity_peak, thinned
 from mfc_analysis.analysis.frequency.resolvent import resolvent
-from mfc_analysis.analysis.margin_metrics import MarginMetrics, assembled, channels_without_zeros, frequency, put, sensitivity_at_zero
-from mfc_analysis.analysis.spectrum import Spectrum, spectrum
+from mfc_analysis.analysis.margin_metrics import MarginMetrics, assembled, frequency, put
+from mfc_analysis.analysis.spectrum import rates, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.maths.arrays import Array, Bools
@@ -57,15 +59,15 @@ class Worst:
 class Margins:
     """One-loop-at-a-time margins, the other loops closed, dead time included. ``m`` times, ``n`` channels.
 
-    A margin without a crossing is ``inf``. Where a root that is not at zero is unstable all metrics are NaN; a channel of "force"
-    that is not sensed is also NaN. Gains above 1e9 count as infinite, below 1e-9 as zero.
+    A margin without a crossing is ``inf``. Where a root that is not slow is unstable, or every root is slow, all metrics are NaN; a channel
+    of "force" that is not sensed is also NaN. Gains above 1e9 count as infinite, below 1e-9 as zero.
     """
 
     times: Array  #: (m,) [s]
     at: str  #: the analysis point
     channels: tuple[str, ...]  #: (n,) names
     stable: Bools  #: (m,) of the closed loop; read this first
-    drifts: Bools  #: (m,) a Jordan chain at zero; the metrics are those of the other roots
+    drifts: Bools  #: (m,) the slow part keeps moving within the horizon; the metrics are those of the other roots
     gain_reduction: Array  #: (m, n) factor; stable for gains in (reduction, increase); 0: for all lower gains
     gain_increase: Array  #: (m, n) factor; inf where no increase destabilises
     reduction_frequency: Array  #: (m, n) [rad/s] of the root that crosses at the reduction; inf where there is none
@@ -75,7 +77,7 @@ class Margins:
     delay: Array  #: (m, n) [s] smallest over all crossovers
     delay_frequency: Array  #: (m, n) [rad/s] the gain crossover with the delay margin
     sensitivity_peak: Array  #: (m, n) supremum of |1/(1 + L)|, at least 1
-    peak_frequency: Array  #: (m, n) [rad/s] of the sensitivity peak; 0 and inf are possible
+    peak_frequency: Array  #: (m, n) [rad/s] of the sensitivity peak, from 1/horizon to inf
 
     @property
     def gain_increase_db(self) -> Array:
@@ -151,8 +153,13 @@ def margins(system: OpenSystem, at: str) -> Margins:
     modes = np.linalg.eig(ch.A)
     known = spectrum(system, modes[0].astype(np.complex128))
     verdict = stability(system, known)
-    judged = verdict.nonzero_stable & (system.nx > known.roots.count)
-    metrics = delayed_metrics(system, at, judged, known) if system.delayed else _metrics(ch, judged, known, (modes[0], modes[1]))
+    judged = verdict.nonzero_stable
+    metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
+    some = np.flatnonzero(judged)
+    if system.delayed:
+        metrics = delayed_metrics(system, at, judged)
+    elif some.size:
+        put(metrics, some, _metrics(ch.at(some), system.radius, (modes[0][some], modes[1][some])))
     if silent is not None:
         for values in vars(metrics).values():
             values[silent] = np.nan
@@ -162,45 +169,21 @@ def margins(system: OpenSystem, at: str) -> Margins:
 Modes = tuple[NDArray[Any], NDArray[Any]]  # eigenvalues (m, nx) and vectors (m, nx, nx)
 
 
-def _metrics(ch: Channels, judged: Bools, known: Spectrum, modes: Modes) -> MarginMetrics:
-    """Metrics of all points, in groups of the same number of roots at zero; NaN where not judged. ``modes``: of the channels' A."""
-    m, n = ch.H0.shape
-    metrics = MarginMetrics(*(np.full((m, n), np.nan) for _ in range(10)))
-    plain = np.flatnonzero(judged & (known.roots.count == 0))
-    if plain.size:
-        poles = modes[0][plain]
-        if ch.dt:
-            poles = (poles - 1) / (poles + 1)
-        put(metrics, plain, _metrics_of(continuous(ch.at(plain)), ch.dt, modes=(poles, modes[1][plain])))
-    for count in np.unique(known.roots.count[judged & (known.roots.count > 0)]):
-        some = np.flatnonzero(judged & (known.roots.count == count))
-        clean, seen = channels_without_zeros(ch.at(some), int(count))
-        found = _metrics_of(continuous(clean), ch.dt)
-        if seen.any():
-            hit = seen.any(axis=1)
-            with_zero = _metrics_of(continuous(ch.at(some[hit])), ch.dt, sees_zero=seen[hit])
-            for name, values in vars(found).items():
-                values[seen] = getattr(with_zero, name)[seen[hit]]
-        put(metrics, some, found)
-    return metrics
-
-
-def _metrics_of(ch: Channels, dt: float, sees_zero: Bools | None = None, modes: Modes | None = None) -> MarginMetrics:
-    """Metrics of stable channels in the s plane (or the w plane of a loop sampled at ``dt``)."""
-    found = resolvent(ch, modes)
-    w = frequencies_of_interest(found.poles)
+def _metrics(ch: Channels, radius: float, modes: Modes) -> MarginMetrics:
+    """Metrics of stable channels (a sampled loop: in the w plane) on the contour with an indentation of ``radius`` [1/s]."""
+    dt = ch.dt
+    poles = (modes[0] - 1) / (modes[0] + 1) if dt else modes[0]
+    found = resolvent(continuous(ch), (poles, modes[1]))
+    w = frequencies_of_interest(found.poles, float(np.tan(radius * dt / 2)) if dt else radius)
     if not found.modal.any():  # each of them costs a linear solution
         w = thinned(w, found.poles)
     H = found.on(w)
-    at_zero = sensitivity_at_zero(ch)
-    if sees_zero is not None:
-        at_zero = np.where(sees_zero, np.nan, at_zero)
-    from_zero = np.concatenate([at_zero.astype(np.complex128)[:, :, None], H], axis=2)
-    gain, phase = crossings(found, np.pad(w, ((0, 0), (1, 0))), from_zero)
-    peak, peak_at = sensitivity_peak(found, at_zero, w, H)
-    if sees_zero is not None:
-        peak, peak_at = np.where(sees_zero, np.inf, peak), np.where(sees_zero, 0.0, peak_at)
-    metrics = assembled(gain, phase, at_zero, ch.H0, lambda w: frequency(w, dt))
+    gain, phase = crossings(found, w, H)
+    at = places(radius, dt)
+    theta = angles(rates(modes[0], dt), radius)
+    arc = arc_crossings(theta, found.over(at(theta)), at, lambda point, channel, s: found.at_place(point, channel, s)[0])
+    peak, peak_at = sensitivity_peak(found, w, H)
+    metrics = assembled(gain, phase, arc, found.ch.H0, lambda w: frequency(w, dt))
     return MarginMetrics(**metrics, sensitivity_peak=np.maximum(peak, 1.0), peak_frequency=frequency(peak_at, dt))
 
 

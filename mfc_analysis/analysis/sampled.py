@@ -96,7 +96,7 @@ def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
         points=tuple(point for point in system.points if point != "position"),
         plant_states=tuple(system.plant_states) + tuple(range(nx, n)),
         dt=h,
-        continuous=system,
+        registers=layout.registers,
     )
 
 

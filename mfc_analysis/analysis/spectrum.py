@@ -1,6 +1,5 @@
-"""Poles of the closed loop.
+"""Poles of the closed loop: the slow ones, abs(s) < 1/horizon, and the others, which are judged by the sign of their real part.
 
-Roots at zero (z = 1 in a sampled loop) are found by rank (``zero_roots``); the others are judged by the sign of their real part.
 The poles leave dead time out; the stability verdict includes it exactly.
 """
 
@@ -10,20 +9,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mfc_analysis.analysis.slow import Parts, parts
 from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.analysis.zero_roots import ZeroRoots, nonzero_roots, zero_roots
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 
 UNDAMPED = 1e-10  #: a root whose real part is below this fraction of its modulus counts as undamped: not stable
+NEARLY = 2.0  #: a point with a pole within this many radii of zero is split into its slow part and the rest
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Poles at m points, and which of them are at zero. Slowest first; dead time left out."""
+    """Poles at m points, slowest first; dead time left out."""
 
     poles: Complex  #: (m, nx) [rad/s], or in the z plane
-    zero: Bools  #: (m, nx) True for the roots at zero (z = 1), found by rank; their value is exact
-    roots: ZeroRoots
+    slow: Bools  #: (m, nx) True for the slow poles
+    parts: tuple[Parts | None, ...]  #: (m,) the slow part and the rest; None where no pole is near zero
     dt: float  #: [s] 0: continuous
 
     @property
@@ -38,9 +38,9 @@ class Pole:
 
     value: complex  #: [rad/s], or z
     frequency: float  #: [rad/s] natural frequency
-    damping: float  #: damping ratio; -1..1; NaN at zero
+    damping: float  #: damping ratio; -1..1; NaN of a slow pole
     time_constant: float  #: [s] inf where it does not decay, negative where it grows
-    kind: str  #: "zero", "stable", "undamped" or "unstable"
+    kind: str  #: "slow", "stable", "undamped" or "unstable"
 
 
 def rates(poles: Complex, dt: float) -> Complex:
@@ -53,32 +53,24 @@ def rates(poles: Complex, dt: float) -> Complex:
 
 
 def spectrum(system: OpenSystem, eigenvalues: Complex | None = None) -> Spectrum:
-    """Poles of the closed loop, dead time left out, with the roots at zero found by rank. ``eigenvalues``: (m, nx), if already known."""
-    A = close_wires(system)[0]
-    one = 1.0 if system.dt else 0.0
+    """Poles of the closed loop, dead time left out, with its slow part. ``eigenvalues``: (m, nx), if already known."""
+    A, dt, radius = close_wires(system)[0], system.dt, system.radius
     found = np.array(np.linalg.eigvals(A) if eigenvalues is None else eigenvalues, np.complex128).reshape(A.shape[:2])
-    shifted = (A - one * np.eye(system.nx)) / (system.dt or 1.0)
-    m = len(A)
-    roots = ZeroRoots(np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, bool), np.zeros(m, np.int64))
-    size = np.abs(found - one)
-    doubtful = np.flatnonzero(size.min(axis=1, initial=np.inf) <= 1e-3 * size.max(axis=1, initial=0.0))
-    if doubtful.size:
-        # a sampled loop has the neutral and drifting roots of its continuous loop, whose matrices show them without rounding
-        behind = None if system.continuous is None else close_wires(system.continuous)[0]
-        some = zero_roots((shifted if behind is None else behind)[doubtful], system.integrals)
-        for name in ("dropped", "neutral", "drifts", "count"):
-            getattr(roots, name)[doubtful] = getattr(some, name)
-    at_zero = np.arange(system.nx) < roots.count[:, None]
-    for i in np.flatnonzero(roots.count):
-        found[i] = one
-        found[i, roots.count[i] :] += nonzero_roots(shifted[i], int(roots.count[i])) * (system.dt or 1.0)
-    s = rates(found, 1.0 if system.dt else 0.0)
-    order = np.lexsort((-s.imag, np.abs(s.imag), np.abs(s.real), ~at_zero), axis=1)
-    return Spectrum(np.take_along_axis(found, order, 1), np.take_along_axis(at_zero, order, 1), roots, system.dt)
+    near = (np.abs(rates(found, dt)) < NEARLY * radius).any(axis=1)
+    slow = np.zeros(found.shape, bool)
+    split: list[Parts | None] = [None] * len(A)
+    for i in np.flatnonzero(near):
+        one = split[i] = parts(A[i], radius, dt)
+        both = [np.linalg.eigvals(block).astype(np.complex128) for block in (one.slow.block, one.fast)]
+        found[i] = np.concatenate(both) * dt + 1.0 if dt else np.concatenate(both)
+        slow[i, : both[0].size] = True
+    s = rates(found, 1.0 if dt else 0.0)
+    order = np.lexsort((-s.imag, np.abs(s.imag), np.abs(s.real), ~slow), axis=1)
+    return Spectrum(np.take_along_axis(found, order, 1), np.take_along_axis(slow, order, 1), tuple(split), dt)
 
 
 def poles(system: OpenSystem) -> Complex:
-    """Eigenvalues (m, nx) of the closed loop [rad/s] (sampled loops: z), roots at zero first, then slowest first. Dead time is left out."""
+    """Eigenvalues (m, nx) of the closed loop [rad/s] (sampled loops: z), slow ones first, then slowest first. Dead time is left out."""
     return spectrum(system).poles
 
 
@@ -98,15 +90,15 @@ def pole_table(system: OpenSystem, index: int) -> tuple[Pole, ...]:
     found = spectrum(system.at(np.array([index])))
     s = found.rates[0]
     decays = inside(found.poles, found.dt)[0]
-    return tuple(_row(complex(p), complex(r), bool(z), bool(d)) for p, r, z, d in zip(found.poles[0], s, found.zero[0], decays, strict=True))
+    return tuple(_row(complex(p), complex(r), bool(slow), bool(d)) for p, r, slow, d in zip(found.poles[0], s, found.slow[0], decays, strict=True))
 
 
-def _row(pole: complex, rate: complex, at_zero: bool, decays: bool) -> Pole:
-    if at_zero:
-        return Pole(pole, 0.0, np.nan, np.inf, "zero")
+def _row(pole: complex, rate: complex, slow: bool, decays: bool) -> Pole:
     if np.isneginf(rate.real):
         return Pole(pole, np.inf, 1.0, 0.0, "stable")
     size = abs(rate)
     undamped = not decays and rate.real <= UNDAMPED * size
+    if slow:
+        return Pole(pole, size, np.nan, np.inf if rate.real == 0 else -1 / rate.real, "slow")
     kind = "stable" if decays else "undamped" if undamped else "unstable"
     return Pole(pole, size, 0.0 if undamped else -rate.real / size, np.inf if undamped else -1 / rate.real, kind)

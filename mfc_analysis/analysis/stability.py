@@ -1,4 +1,4 @@
-"""Stability verdict: stable, neutral or drifting; dead time exact."""
+"""Stability verdict over a horizon: the slow part apart, the other roots by Nyquist's contour indented by 1/horizon; dead time exact."""
 
 from __future__ import annotations
 
@@ -6,41 +6,66 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mfc_analysis.analysis.delay.roots import delay_roots, delay_stable
+from mfc_analysis.analysis.delay.roots import delay_roots
+from mfc_analysis.analysis.delay.verdict import delayed_verdicts
 from mfc_analysis.analysis.spectrum import Spectrum, inside, spectrum
 from mfc_analysis.analysis.system import OpenSystem, without_idle
-from mfc_analysis.maths.arrays import Array, Bools, Ints
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 
 @dataclass(frozen=True, eq=False)
 class Stability:
-    """Stability verdict at m points, dead time included."""
+    """Stability verdict at m points over a horizon, dead time included.
 
-    stable: Bools  #: (m,) every root that is not neutral is stable, nothing drifts, and not all roots are neutral
-    neutral: Ints  #: (m,) semisimple roots at zero (free positions)
-    drifts: Bools  #: (m,) a Jordan chain at zero: a position that slides, a speed that ramps
-    nonzero_stable: Bools  #: (m,) all roots that are not at zero are stable; margins and searches use this
-    idle: Ints  #: (m,) integrals that act on nothing, left out of the verdict
+    Roots with abs(s) < 1/horizon are slow. The others are judged by the sign of their real part.
+    """
+
+    stable: Bools  #: (m,) the roots that are not slow decay, there are such roots, and nothing drifts
+    slow: Ints  #: (m,) slow roots with multiplicity: free positions, ramps, creep
+    drifts: Bools  #: (m,) the slow part keeps moving within the horizon
+    nonzero_stable: Bools  #: (m,) there are roots that are not slow, and all of them decay; margins and searches use this
+    held: Bools  #: (m,) False where every root is slow: nothing holds the loop within the horizon
+    idle: int  #: integrals that act on nothing, left out of the verdict
+    slow_roots: tuple[Complex, ...]  #: (m,) arrays of the slow roots [1/s]
+    motion: tuple[Array, ...]  #: (m,) (nx, nx) what the slow part keeps moving over the second half of the horizon; 0 where nothing drifts
+    horizon: float  #: [s]
+
+    @property
+    def neutral(self) -> Ints:
+        """(m,) slow roots where nothing drifts: free positions and creep."""
+        return np.where(self.drifts, 0, self.slow)
 
 
 def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
-    """Stable, neutral or drifting at each point, dead time included (see "Stable, neutral, drifting" in the guide).
+    """The verdict at each point, dead time included (see "A verdict holds over a horizon" in the guide).
 
-    Integrals that act on nothing are dropped first. ``known``: the spectrum, if already computed.
+    Integrals that act on nothing are dropped first. ``known``: the spectrum of the system without them, if already computed.
+    Raises ``NotConverged`` where the number of unstable roots of a loop with dead time cannot be settled.
     """
+    whole, system = system, without_idle(system)
     known = spectrum(system) if known is None else known
-    roots = known.roots
-    others = delay_stable(system) if system.delayed else np.asarray((inside(known.poles, known.dt) | known.zero).all(axis=1))
-    more = system.nx > roots.count
-    stable = others & ~roots.drifts & more
-    return Stability(stable, roots.neutral, roots.drifts, others, roots.dropped)
+    m, horizon = len(system.A), system.horizon
+    if system.delayed:
+        found = delayed_verdicts(system, known)
+        slow, decay, held = (np.array([getattr(one, name) for one in found]) for name in ("slow", "decays", "held"))
+        roots, motion = tuple(one.slow_roots for one in found), tuple(one.motion for one in found)
+    else:
+        slow = known.slow.sum(axis=1)
+        decay, held = (inside(known.poles, known.dt) | known.slow).all(axis=1), slow < system.nx - system.registers
+        none = np.zeros((system.nx, system.nx))
+        roots = tuple(np.zeros(0, np.complex128) if one is None else one.slow.roots for one in known.parts)
+        motion = tuple(none if one is None or not one.slow.block.size else one.slow.moves(horizon) for one in known.parts)
+    drifts = np.array([moved.any() for moved in motion], bool).reshape(m)
+    good = np.asarray(decay & held, bool)
+    return Stability(good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), whole.nx - system.nx, roots, motion, horizon)
 
 
 def growth(system: OpenSystem) -> Array:
-    """(m,) [1/s] largest real part of the closed loop's roots that are not at zero (z = 1), dead time included."""
+    """(m,) [1/s] largest real part of the closed loop's roots that are not slow, dead time included."""
     system = without_idle(system)
     found = spectrum(system)
     if system.delayed:
-        roots = delay_roots(system, int(found.roots.count.max(initial=0)) + 2)
-        return np.asarray(np.where(roots == 0, -np.inf, roots.real).max(axis=1))
-    return np.asarray(np.where(found.zero, -np.inf, found.rates.real).max(axis=1))
+        count = int(stability(system, found).slow.max(initial=0)) + 2
+        roots = delay_roots(system, count)
+        return np.asarray(np.where(np.abs(roots) < system.radius, -np.inf, roots.real).max(axis=1))
+    return np.asarray(np.where(found.slow, -np.inf, found.rates.real).max(axis=1))

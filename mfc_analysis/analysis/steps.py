@@ -15,11 +15,11 @@ import numpy as np
 
 from mfc_analysis.analysis.delay.roots import delay_roots
 from mfc_analysis.analysis.delay.steps import delayed_runner
+from mfc_analysis.analysis.slow import KEEPS_MOVING, MOVES
 from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.step_run import Run
 from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.analysis.zero_roots import without_zero_roots
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.checks import number
@@ -34,7 +34,7 @@ class Outcome(enum.Enum):
     """Long-term behaviour of the response."""
 
     SETTLES = "the response settles"
-    RAMPS = "the response never settles: a root at zero integrates the input"
+    RAMPS = "the response does not settle within the horizon: a slow root integrates the input"
     GROWS = "the response grows: the closed loop is unstable"
 
 
@@ -81,7 +81,7 @@ def step(system: OpenSystem, index: int, input: str | int, output: str | int, du
         duration = number("duration", duration, low=0.0, strict=True)
     one = system.at(np.array([index % len(system.A)]))
     known, run_for = spectrum(one), _runner(one, into, out)
-    verdict = stability(one, known)
+    verdict = stability(one)
     outcome, steady = _end(one, into, out, bool(verdict.nonzero_stable[0]), known)
     first = None
     if one.delayed:
@@ -110,25 +110,22 @@ def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
 
 
 def _end(system: OpenSystem, into: int, out: int, others_decay: bool, known: Spectrum) -> tuple[Outcome, float]:
-    """Long-term behaviour of the response and its final value, on which dead time has no effect."""
+    """Behaviour of the response within the horizon and its final value, on which dead time has no effect."""
     if not others_decay:
         return Outcome.GROWS, np.nan
-    A, B, C, D = close_wires(system)
-    a, b, c = A[0] - (np.eye(system.nx) if system.dt else 0.0), B[0][:, [into]], C[0][[out]]
-    gain = 0.0
-    if known.roots.count[0]:
-        split = without_zero_roots(a, b, c, int(known.roots.count[0]))
-        row, size = split.C_zero, np.abs(split.C_zero)
-        other = float((np.abs(split.C) @ np.abs(split.B))[0, 0]) + 1e-4 * float(np.linalg.norm(split.C) * np.linalg.norm(split.B))
-        for _ in range(len(split.A_zero)):
-            strength, scale = float((row @ split.B_zero)[0, 0]), float((size @ np.abs(split.B_zero))[0, 0])
-            gain = strength if abs(strength) > 1e-9 * (scale + other) else gain
-            row, size = row @ split.A_zero, size @ np.abs(split.A_zero)
-        a, b, c = split.A, split.B, split.C
-    if gain:
-        return Outcome.RAMPS, float(np.copysign(np.inf, gain))
-    terms = c[0] * np.linalg.solve(a, b)[:, 0] if len(a) else np.zeros(1)
-    steady = float(D[0][out, into] - terms.sum())
+    A, B, C, D = (x[0] for x in close_wires(system))
+    step, split = system.dt or 1.0, known.parts[0]
+    a, b, c = (A - np.eye(system.nx)) / step if system.dt else A, B[:, into] / step, C[out]
+    moved = 0.0
+    if split is not None and split.slow.block.size:
+        slow, push, seen = split.slow, split.slow.left @ b, c @ split.slow.right
+        moved, half = (float(seen @ slow.integral(t) @ push) for t in (system.horizon, system.horizon / 2))
+        scale = float(np.abs(c) @ np.abs(split.fast_right) @ np.abs(np.linalg.solve(split.fast, split.fast_left @ b))) + abs(float(D[out, into]))
+        if abs(moved) > MOVES * scale + 1e-300 and abs(moved) > KEEPS_MOVING * abs(half):
+            return Outcome.RAMPS, float(np.copysign(np.inf, moved))
+        a, b, c = split.fast, split.fast_left @ b, c @ split.fast_right
+    terms = c * np.linalg.solve(a, b) if len(a) else np.zeros(1)
+    steady = float(D[out, into] - terms.sum()) + moved
     return Outcome.SETTLES, 0.0 if abs(steady) < 1e-13 * np.abs(terms).sum() else steady
 
 
@@ -183,21 +180,21 @@ def first_duration(system: OpenSystem, into: int, out: int) -> float:
     """First duration [s]: that of the loop without dead time, at least a few dead times, and long enough to show growth."""
     free = delay_free_duration(replace(system, wire_delay=np.zeros_like(system.wire_delay)), into, out)
     enough = max(free, 10 * float(system.wire_delay.max()))
-    growth = float(delay_roots(system, 1)[0, 0].real)
+    growth = float(delay_roots(system, 1)[0, 0].real) if not stability(system).nonzero_stable[0] else 0.0
     return max(enough, min(3 / growth, 20 * enough)) if growth > 0 else enough
 
 
 def delay_free_duration(system: OpenSystem, into: int, out: int) -> float:
     """[s] about twice the settling time of a system with one point, without dead time; eight slowest time constants if it does not settle."""
     known = spectrum(system)
-    outcome, steady = _end(system, into, out, bool(stability(system, known).nonzero_stable[0]), known)
+    outcome, steady = _end(system, into, out, bool(stability(system).nonzero_stable[0]), known)
     run = _settled_run(_runner(system, into, out), known, steady if outcome is Outcome.SETTLES else None, system.dt)
     return float(run.t[-1])
 
 
 def _settled_run(run_for: Callable[[float, int], Run], known: Spectrum, steady: float | None, dt: float, first: float | None = None) -> Run:
     """A run of about twice the settling time; eight slowest time constants if it does not settle. ``first``: [s] first duration."""
-    s = rates(known.poles, dt)[~known.zero]
+    s = rates(known.poles, dt)[~known.slow]
     rate = np.abs(s.real[np.isfinite(s.real) & (np.abs(s.real) > 1e-12 * np.abs(s))])
     if steady is None:
         grows = s.real[s.real > 1e-12 * np.abs(s)]

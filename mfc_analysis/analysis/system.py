@@ -19,7 +19,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Ints
+
+HORIZON = 100.0  #: [s] default horizon of a verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +45,8 @@ class OpenSystem:
     plant_states: tuple[int, ...] = ()  #: states of the plant (the others belong to the controller)
     law: str = "the loop"  #: for messages
     dt: float = 0.0  #: [s] sample time, 0: continuous
-    continuous: OpenSystem | None = None  #: of a sampled loop: its continuous loop
+    registers: int = 0  #: of a sampled loop: states that hold the samples in transit
+    horizon: float = HORIZON  #: [s] of the verdict: roots with |s| < 1/horizon are slow; inf: none is
 
     @property
     def nx(self) -> int:
@@ -66,13 +70,24 @@ class OpenSystem:
 
     @property
     def delayed(self) -> bool:
-        """True where the matrices leave out dead time: the loop then has infinitely many roots."""
-        return bool(self.wire_delay.any()) and not self.dt
+        """True where the matrices leave out dead time. Without a sample time the loop then has infinitely many roots."""
+        return bool(self.wire_delay.any())
+
+    @property
+    def radius(self) -> float:
+        """[1/s] of the disc of slow roots: 1/horizon."""
+        return 1.0 / self.horizon
 
     def at(self, index: slice | Ints | Bools) -> OpenSystem:
         """The same system at some of its points."""
-        behind = None if self.continuous is None else self.continuous.at(index)
-        return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index], continuous=behind)
+        return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index])
+
+
+def checked_horizon(horizon: float, sample_time: float = 0.0) -> float:
+    """The horizon [s] of a verdict; inf: every root is judged by its sign. Raises ``BadArgument`` below 1e-6 s or two sample times."""
+    if isinstance(horizon, (float, np.floating)) and np.isposinf(horizon):
+        return float("inf")
+    return checks.number("horizon", horizon, low=max(1e-6, 2 * sample_time))
 
 
 def close_wires(system: OpenSystem, keep: Bools | None = None) -> tuple[Array, Array, Array, Array]:
@@ -100,10 +115,11 @@ def close_wires(system: OpenSystem, keep: Bools | None = None) -> tuple[Array, A
 
 
 def without_idle(system: OpenSystem) -> OpenSystem:
-    """The system without controller integrals that affect nothing at any of its points: the same verdicts with fewer states."""
+    """The system without the controller integrals that act on nothing at any of its points: the same loops with fewer states."""
     used = np.ones(system.nx, bool)
+    own = np.eye(system.nx) if system.dt else np.zeros((system.nx, system.nx))
     for i in system.integrals:
-        used[i] = system.A[:, :, i].any() or system.C[:, :, i].any()
+        used[i] = (system.A[:, :, i] != own[i]).any() or system.C[:, system.ny :, i].any()
     if used.all():
         return system
     new = np.cumsum(used) - 1

@@ -1,7 +1,7 @@
 """Design searches for the limits of stiffness, dead time, sample rate, payload and bandwidth, by bisection on exact stability.
 
-Stability is that of the roots that are not at zero, with exact dead time and sampling, at all ``times`` (a Hold: at 0; else 21 times
-over the duration or period of the reference). Each result is a float with the limiting condition, and the loop at the limit in ``.loop``.
+Stability is that of the roots that are not slow (over ``horizon`` [s]), with exact dead time and sampling, at all ``times`` (a Hold: at 0;
+else 21 times over the duration or period of the reference). Each result is a float with the limiting condition, and the loop at the limit in ``.loop``.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.design.searches import Bracket, Limit, Outcome, first_loss, scan, shown
 from mfc_analysis.design.worst_case import WorstCase, worst_case
 from mfc_analysis.dynamics.environment import stiffened
@@ -29,7 +30,7 @@ __all__ = ["Limit", "Outcome", "WorstCase", "max_bandwidth", "max_delay", "max_p
 MOVING_TIMES = 21  #: times checked along a moving reference
 
 
-def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | None = None, progress: bool = False) -> Limit:
+def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | None = None, horizon: float = HORIZON, progress: bool = False) -> Limit:
     """Largest environment stiffness [N/m] (rotations alone: [Nm/rad]) with which the loop is stable; inf if stable up to ``upper``.
 
     The search varies every environment with a preload (all of them where none has one): it scales the stiffness so that the largest
@@ -50,10 +51,10 @@ def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | No
     def stiffer(k: float) -> ClosedLoop:
         return replace(loop, environment=[stiffened(s, k, X) if vary else s for s, vary in zip(surfaces, varied, strict=True)])
 
-    return _limit(stiffer, scan(1e-8 * upper, upper), loop, times, "largest stable stiffness", "N/m", progress)
+    return _limit(stiffer, scan(1e-8 * upper, upper), loop, times, horizon, "largest stable stiffness", "N/m", progress)
 
 
-def max_delay(loop: ClosedLoop, upper: float = 10.0, *, times: ArrayLike | None = None, progress: bool = False) -> Limit:
+def max_delay(loop: ClosedLoop, upper: float = 10.0, *, times: ArrayLike | None = None, horizon: float = HORIZON, progress: bool = False) -> Limit:
     """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the given one) with which the loop is stable.
 
     inf if stable up to ``upper`` [s]; 0 if it is not stable without dead time. Raises BadArgument.
@@ -65,11 +66,17 @@ def max_delay(loop: ClosedLoop, upper: float = 10.0, *, times: ArrayLike | None 
     def later(delay: float) -> ClosedLoop:
         return replace(loop, hardware=replace(hardware, delay=delay or None))
 
-    return _limit(later, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), loop, times, "largest stable dead time", "s", progress)
+    return _limit(later, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), loop, times, horizon, "largest stable dead time", "s", progress)
 
 
 def max_payload(
-    loop: ClosedLoop, upper: float = 1e3, *, com: ArrayLike = (0.0, 0.0, 0.0), times: ArrayLike | None = None, progress: bool = False
+    loop: ClosedLoop,
+    upper: float = 1e3,
+    *,
+    com: ArrayLike = (0.0, 0.0, 0.0),
+    times: ArrayLike | None = None,
+    horizon: float = HORIZON,
+    progress: bool = False,
 ) -> Limit:
     """Largest payload [kg] at the tool, unknown to the controller, with which the loop is stable about its reference.
 
@@ -84,10 +91,12 @@ def max_payload(
     def heavier(mass: float) -> ClosedLoop:
         return replace(loop, robot=loop.robot.with_payload(mass, com) if mass else loop.robot, controller_model=model)
 
-    return _limit(heavier, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), loop, times, "largest stable payload", "kg", progress)
+    return _limit(heavier, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), loop, times, horizon, "largest stable payload", "kg", progress)
 
 
-def min_sample_rate(loop: ClosedLoop, lower: float = 0.1, upper: float = 1e5, *, times: ArrayLike | None = None, progress: bool = False) -> Limit:
+def min_sample_rate(
+    loop: ClosedLoop, lower: float = 0.1, upper: float = 1e5, *, times: ArrayLike | None = None, horizon: float = HORIZON, progress: bool = False
+) -> Limit:
     """Smallest rate [1/s] of a sampled controller (``Hardware.sample_time``, zero-order hold) with which the loop is stable.
 
     The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate. Raises BadArgument.
@@ -99,7 +108,7 @@ def min_sample_rate(loop: ClosedLoop, lower: float = 0.1, upper: float = 1e5, *,
     def sampled(period: float) -> ClosedLoop:
         return replace(loop, hardware=replace(hardware, sample_time=period))
 
-    found = _limit(sampled, scan(1 / upper, 1 / lower), loop, times, "smallest stable sample rate", "1/s", progress)
+    found = _limit(sampled, scan(1 / upper, 1 / lower), loop, times, horizon, "smallest stable sample rate", "1/s", progress)
     value = {Outcome.FOUND: 1 / found if found else np.inf, Outcome.UNLIMITED: 0.0, Outcome.NOWHERE: np.inf}[found.outcome]
     note = (f"sample time {float(found):.6g} s",) if found.outcome is Outcome.FOUND else ()
     return Limit(value, found.name, found.unit, found.outcome, found.binds, found.loop, found.beyond, found.evaluations, note + found.notes)
@@ -197,44 +206,47 @@ def _shown(line: Line) -> str:
 # --- the search on stability -----------------------------------------------------------------------------------------
 
 
-def stable(loop: ClosedLoop, times: ArrayLike) -> bool:
-    """True if all roots that are not at zero are stable at all times (m,) [s], with exact dead time and sampling."""
-    return bool(Evidence(loop.equations, checks.times(times)).judged.all())
+def stable(loop: ClosedLoop, times: ArrayLike, horizon: float = HORIZON) -> bool:
+    """True if all roots that are not slow are stable at all times (m,) [s], with exact dead time and sampling."""
+    return bool(Evidence(loop.equations, checks.times(times), horizon=horizon).judged.all())
 
 
 def _limit(
-    make: Callable[[float], ClosedLoop], values: Array, loop: ClosedLoop, times: ArrayLike | None, name: str, unit: str, progress: bool
-) -> Limit:
+    make: Callable[[float], ClosedLoop], values: Array, loop: ClosedLoop, times: ArrayLike | None, horizon: float, name: str, unit: str,
+    progress: bool,
+) -> Limit:  # fmt: skip
     t = _times(loop, times)
     with shown(progress, name) as tick:
 
         def holds(x: float) -> bool:
             tick(x)
-            return stable(make(x), t)
+            return stable(make(x), t, horizon)
 
         bracket = first_loss(holds, values, skip=values[0] > 0)
     if bracket.outcome is Outcome.NOWHERE:
         there = make(float(values[0]))
         said = (
-            f"not stable from {values[0]:g} to {values[-1]:g} {unit}; {_root(there, t)}" if values[0] else f"not stable as given; {_root(there, t)}"
+            f"not stable from {values[0]:g} to {values[-1]:g} {unit}; {_root(there, t, horizon)}"
+            if values[0]
+            else f"not stable as given; {_root(there, t, horizon)}"
         )
         return Limit(0.0, name, unit, bracket.outcome, said, there, there, bracket.evaluations)
     last = make(bracket.holds)
     notes: tuple[str, ...] = ()
     if bracket.before is not None:
         notes += (f"also not stable from {values[0]:.4g} up to {bracket.before:.4g} {unit}",)
-    if Evidence(last.equations, t).stability.drifts.any():
-        notes += ("the loop drifts: the limit is that of the roots that are not at zero",)
+    if Evidence(last.equations, t, horizon=horizon).stability.drifts.any():
+        notes += ("the loop drifts: the limit is that of the roots that are not slow",)
     if bracket.outcome is Outcome.UNLIMITED:
         return Limit(np.inf, name, unit, bracket.outcome, f"stable up to {bracket.holds:g} {unit}", last, None, bracket.evaluations, notes)
     beyond = make(bracket.lost)
-    return Limit(bracket.holds, name, unit, bracket.outcome, f"beyond it {_root(beyond, t)}", last, beyond, bracket.evaluations, notes)
+    return Limit(bracket.holds, name, unit, bracket.outcome, f"beyond it {_root(beyond, t, horizon)}", last, beyond, bracket.evaluations, notes)
 
 
-def _root(loop: ClosedLoop, t: Array) -> str:
-    evidence = Evidence(loop.equations, t)
+def _root(loop: ClosedLoop, t: Array, horizon: float) -> str:
+    evidence = Evidence(loop.equations, t, horizon=horizon)
     if evidence.nothing_else:
-        return "every root is at zero"
+        return "every root is slow"
     found = evidence.slowest_root()
     kind = "a real root" if found.note == "real" else f"a pair of roots at {found.note}"
     return f"{kind} is unstable ({found.where}, t = {found.when:.4g} s)"

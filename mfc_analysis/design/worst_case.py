@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.errors import BadArgument, MfcError, UnknownName
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
@@ -74,13 +75,14 @@ def worst_case(
     *,
     at: str | None = None,
     points: int = 5,
+    horizon: float = HORIZON,
 ) -> WorstCase:
     """The worst case over parameter ranges and path.
 
     Args:
         build: keyword parameters -> ``ClosedLoop``.
         ranges: name -> (low, high), searched on a grid of ``points`` and then in between; or three or more values, tried as given.
-        times: (m,) [s] of the path. at: analysis point.
+        times: (m,) [s] of the path. at: analysis point. horizon: [s] of the verdict.
         metric: a field of ``Requirements``, or a function loop -> number where smaller is worse. NaN counts as worst.
 
     A range with ends a factor of 100 or more apart is spaced logarithmically. A case that cannot be built is recorded in ``failed``.
@@ -96,7 +98,7 @@ def worst_case(
         raise BadArgument("points", points, "a whole number >= 2")
     t = checks.times(times)
     axes = {name: _axis(name, given, points) for name, given in ranges.items()}
-    search = _Search(build, t, metric, at)
+    search = _Search(build, t, metric, at, horizon)
     scored = [(search.score(dict(zip(axes, values, strict=True))), values) for values in product(*(a.values for a in axes.values()))]
     judged = [(s, values) for s, values in scored if s is not None]
     if not judged:
@@ -119,6 +121,7 @@ class _Search:
     times: Array
     metric: str | Callable[[ClosedLoop], float]
     at: str | None
+    horizon: float
     count: int = 0
     failed: list[tuple[Case, str]] = field(default_factory=list)
     last: MfcError | None = None
@@ -136,7 +139,7 @@ class _Search:
 
     def _score(self, case: Case) -> _Score:
         loop = self.build(**case)
-        evidence = Evidence(loop.equations, self.times, self.at)
+        evidence = Evidence(loop.equations, self.times, self.at, self.horizon)
         root = evidence.slowest_root()
         if not evidence.judged.all():
             return _Score((0, -root.value), float("nan"), root.where, root.when, root.value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.spectrum import Pole, pole_table, poles
 from mfc_analysis.analysis.stability import Stability, stability
-from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, close_wires
 from mfc_analysis.dynamics.equations import Equations, timed, warn_near_singular
 from mfc_analysis.dynamics.jacobians import Coordinates, closed_matrix, open_system
 from mfc_analysis.dynamics.operating_point import OperatingPoint, at_rest, nominal, on_reference, residual
@@ -47,10 +47,11 @@ class Linearization:
     coordinates: Coordinates
     about: About
     run: Simulation | None = None  #: the run that ``about="simulation"`` follows
+    horizon: float = HORIZON  #: [s] of the verdict: roots with |s| < 1/horizon are slow
 
     def again(self, times: Array) -> Linearization:
         """The same loop, operating points and coordinates at other times (m,) [s]."""
-        return linearize(self.equations, times, self.about, self.coordinates, self.run)
+        return linearize(self.equations, times, self.about, self.coordinates, self.run, self.horizon)
 
     # --- matrices ------------------------------------------------------------------------------------------------
 
@@ -110,7 +111,7 @@ class Linearization:
     @cached_property
     def opened(self) -> OpenSystem:
         """The loop with every wire cut: the model that ``analysis`` works on."""
-        out = open_system(self.equations, self.times, self.point.x, self.coordinates)
+        out = replace(open_system(self.equations, self.times, self.point.x, self.coordinates), horizon=self.horizon)
         if self.dt:
             from mfc_analysis.analysis.sampled import sampled
 
@@ -125,7 +126,7 @@ class Linearization:
 
     @cached_property
     def _opened_in_state(self) -> OpenSystem:
-        return open_system(self.equations, self.times, self.point.x, "state")
+        return replace(open_system(self.equations, self.times, self.point.x, "state"), horizon=self.horizon)
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -154,23 +155,28 @@ class Linearization:
 
     @cached_property
     def stability(self) -> Stability:
-        """Stable, neutral or drifting at each time, dead time included."""
+        """The verdict at each time over the horizon, dead time included."""
         dead = self.delay or self.force_delay
         return stability(self.opened if dead or self.dt else _only_a(self))
 
     @property
     def stable(self) -> Bools:
-        """(m,) True where every root that is not neutral is stable; exact with dead time."""
+        """(m,) True where the roots that are not slow decay, there are such roots, and nothing drifts; exact with dead time."""
         return self.stability.stable
 
     @property
+    def slow(self) -> Ints:
+        """(m,) roots with |s| < 1/horizon: free positions, ramps, creep."""
+        return self.stability.slow
+
+    @property
     def neutral(self) -> Ints:
-        """(m,) semisimple roots at zero (z = 1): free positions."""
+        """(m,) slow roots where nothing drifts."""
         return self.stability.neutral
 
     @property
     def drifts(self) -> Bools:
-        """(m,) True for a root at zero in a Jordan chain: a position drifts or a velocity ramps."""
+        """(m,) True where the slow part keeps moving within the horizon: a position slides, a velocity ramps."""
         return self.stability.drifts
 
     def pole_table(self, index: int = 0) -> tuple[Pole, ...]:
@@ -291,7 +297,7 @@ class Linearization:
         return (
             f"{self.equations.law} on {self.equations.robot.name}, linearised at {when} "
             f"({kind}; coordinates {self.coordinates!r})\n"
-            f"stable at {int(stable.sum())} of {len(stable)} times; neutral roots {int(self.neutral.max(initial=0))}; "
+            f"stable at {int(stable.sum())} of {len(stable)} times; slow roots {int(self.slow.max(initial=0))}; "
             f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {np.abs(self.residual).max(initial=0.0):.3g}"
         )
 
@@ -307,16 +313,22 @@ class Linearization:
 
 
 def linearize(
-    equations: Equations, times: Array, about: About = "reference", coordinates: Coordinates | None = None, run: Simulation | None = None
+    equations: Equations,
+    times: Array,
+    about: About = "reference",
+    coordinates: Coordinates | None = None,
+    run: Simulation | None = None,
+    horizon: float = HORIZON,
 ) -> Linearization:
-    """Implements ``ClosedLoop.linearize``: times (m,) [s], strictly increasing.
+    """Implements ``ClosedLoop.linearize``: times (m,) [s], strictly increasing; ``horizon`` [s].
 
     Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
     """
     checks.choice("about", about, ("reference", "equilibrium", "simulation"))
+    horizon = checked_horizon(horizon, equations.sample_time)
     point = _points(equations, times, about, run)
     arm = _regular(equations, point)
-    return Linearization(equations, point, _coordinates(equations, coordinates, arm), about, run)
+    return Linearization(equations, point, _coordinates(equations, coordinates, arm), about, run, horizon)
 
 
 def _points(equations: Equations, times: Array, about: About, run: Simulation | None) -> OperatingPoint:
@@ -361,7 +373,7 @@ def _only_a(lin: Linearization) -> OpenSystem:
     return OpenSystem(
         times=lin.times, A=A, B=empty((m, nx, 0)), C=empty((m, 0, nx)), D=empty((m, 0, 0)), state_names=names, input_names=(), output_names=(),
         wires={}, wire_names=(), wire_delay=np.zeros(0), points=(), integrals=lin.equations.integrals, plant_states=lin.equations.plant_states,
-        law=type(lin.equations.law).__name__, dt=0.0,
+        law=type(lin.equations.law).__name__, dt=0.0, horizon=lin.horizon,
     )  # fmt: skip
 
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
-from mfc_analysis.analysis.system import close_wires
-from mfc_analysis.analysis.zero_roots import without_zero_roots
+from mfc_analysis.analysis.slow import parts
+from mfc_analysis.analysis.system import HORIZON, close_wires
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.dynamics.operating_point import nominal
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 ROUNDING = 1e-9  #: fraction of the acceleration scale below which a residual is rounding error
 RUN_POINTS = 400  #: fewest samples of the nonlinear run
 GRAVITY = 10.0  #: [m/s^2] the acceleration scale of an arm at rest
-SLIDES = 1e-8  #: fraction of the residual below which a drift is rounding error
+SLIDES = 1e-8  #: fraction of its terms below which a slow displacement is rounding error
 HOLD_RUN = 2.0  #: [s] duration of the nonlinear run where neither the times nor the reference define one
 
 
@@ -60,6 +60,7 @@ class Evidence:
         equations: those of a ``ClosedLoop``.
         times: (m,) [s], strictly increasing, or one number.
         at: analysis point of margins and disk margin; None: the plant input.
+        horizon: [s] of the verdict.
 
     Raises BadArgument, UnknownPoint for ``at``.
     """
@@ -67,6 +68,7 @@ class Evidence:
     equations: Equations
     times: Array
     at: str | None = None
+    horizon: float = HORIZON
     _cache: dict[str, Found] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -81,22 +83,22 @@ class Evidence:
     @cached_property
     def linearization(self) -> Linearization:
         """The loop linearised about its reference at the times."""
-        return linearize(self.equations, self.times)
+        return linearize(self.equations, self.times, horizon=self.horizon)
 
     @cached_property
     def stability(self) -> Stability:
         """The stability verdict, dead time included."""
         return self.linearization.stability
 
-    @cached_property
+    @property
     def judged(self) -> Bools:
-        """(m,) True where all roots that are not at zero are stable, so that the metrics are defined."""
-        return np.asarray(self.stability.nonzero_stable & (self.spectrum.poles.shape[1] > self.spectrum.roots.count))
+        """(m,) True where there are roots that are not slow and all of them decay, so that the metrics are defined."""
+        return self.stability.nonzero_stable
 
     @property
     def nothing_else(self) -> bool:
-        """True where every root is at zero, at all times."""
-        return bool((self.spectrum.roots.count >= self.spectrum.poles.shape[1]).all())
+        """True where every root is slow, at all times."""
+        return not self.stability.held.any()
 
     @cached_property
     def margins(self) -> Margins:
@@ -140,9 +142,9 @@ class Evidence:
         return self._cache[metric]
 
     def slowest_root(self) -> Found:
-        """Rightmost real part [1/s] of the roots that are not at zero, dead time included; -inf where there is none."""
-        roots, zero = self._roots
-        real = np.where(zero, -np.inf, roots.real)
+        """Rightmost real part [1/s] of the roots that are not slow, dead time included; -inf where there is none."""
+        roots, slow = self._roots
+        real = np.where(slow, -np.inf, roots.real)
         i, k = np.unravel_index(int(np.argmax(real)), real.shape)
         root = complex(roots[i, k])
         note = f"{abs(root.imag):.4g} rad/s" if abs(root.imag) > 1e-9 * abs(root) else "real"
@@ -150,18 +152,17 @@ class Evidence:
 
     @cached_property
     def _roots(self) -> tuple[Complex, Bools]:
-        """Roots in the s plane and which of them are at zero (m, k): the poles, or with dead time the rightmost exact ones."""
+        """Roots in the s plane and which of them are slow (m, k): the poles, or with dead time the rightmost exact ones."""
         lin, known = self.linearization, self.spectrum
         if not (lin.delay or lin.force_delay):
-            return known.rates, known.zero
-        found = lin.delay_roots(known.poles.shape[1])  # as many as without dead time
-        return found, found == 0  # those at zero are exact
+            return known.rates, known.slow
+        found = lin.delay_roots(known.poles.shape[1] + int(self.stability.slow.max(initial=0)))
+        return found, np.abs(found) < 1 / self.horizon
 
     def implied_error(self) -> Found:
         """Steady displacement [rad, m] of the joints due to the residual: |A^-1 r| of the linear loop; 0: rounding error only.
 
-        r is the residual of every rate at the operating point. Roots at zero that r does not excite stay at rest; inf where one makes
-        the joints drift.
+        r is the residual of every rate at the operating point. The slow part counts with what it moves within the horizon.
         """
         e, lin = self.equations, self.linearization
         asked = nominal(e, self.times)
@@ -170,7 +171,7 @@ class Evidence:
             return Found(0.0)
         A = closed_matrix(e, self.times, lin.point.x, "state")
         where = e.parts["q"].where
-        moved = np.stack([_displacement(A[i], left[i], where) for i in range(len(self.times))])
+        moved = np.stack([_displacement(A[i], left[i], where, self.horizon) for i in range(len(self.times))])
         i, j = np.unravel_index(int(np.argmax(moved)), moved.shape)
         return Found(float(moved[i, j]), e.robot.joint_names[j], float(self.times[i]))
 
@@ -191,7 +192,7 @@ class Evidence:
     def _unstable(self) -> Found:
         bad = np.flatnonzero(~self.judged)
         if self.nothing_else:
-            return Found(np.nan, "", float(self.times[bad[0]]), "every root is at zero: no metric is defined")
+            return Found(np.nan, "", float(self.times[bad[0]]), "every root is slow, nothing holds the loop within the horizon: no metric is defined")
         root = self.slowest_root()
         return Found(np.nan, root.where, float(self.times[bad[0]]), f"unstable at {bad.size} of {self.times.size} times")
 
@@ -228,13 +229,13 @@ def _disk(e: Evidence) -> Found:
 
 
 def _damping(e: Evidence) -> Found:
-    roots, zero = e._roots
+    roots, slow = e._roots
     size = np.abs(roots)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where(np.isneginf(roots.real), 1.0, -roots.real / size)
-    ratio = np.where(zero, np.inf, ratio)
+    ratio = np.where(slow, np.inf, ratio)
     i, k = np.unravel_index(int(np.argmin(ratio)), ratio.shape)
-    if zero.all():
+    if slow.all():
         return e._unstable()
     note = f"of the {roots.shape[1]} rightmost roots" if e.linearization.delay or e.linearization.force_delay else f"{size[i, k]:.4g} rad/s"
     return Found(float(ratio[i, k]), e._joint_of(int(i), complex(roots[i, k])), float(e.times[i]), note)
@@ -257,7 +258,7 @@ def _step(e: Evidence, name: str) -> Found:
     found = _worst(values, e.steps.channels, e.times, True)
     if np.isnan(found.value):
         return found._replace(note="the coordinate does not follow its reference to a steady value")
-    return found._replace(note="never settles: a root at zero integrates the step") if np.isinf(found.value) else found
+    return found._replace(note="does not settle within the horizon: a slow root integrates the step") if np.isinf(found.value) else found
 
 
 def _tracking(e: Evidence) -> Found:
@@ -314,14 +315,13 @@ def _left_over(equations: Equations, x: Array, times: Array, v: Array, a: Array)
     return np.array(value(equations.join(slots)))
 
 
-def _displacement(A: Array, left: Array, where: slice) -> Array:
-    """(n,) steady |positions| of x' = A x + left from zero; inf where a root at zero drifts."""
-    parts = without_zero_roots(A, left[:, None], np.eye(len(A))[where])
-    steady = parts.C @ np.linalg.solve(parts.A, parts.B) if len(parts.A) else np.zeros((where.stop - where.start, 1))
-    out = np.abs(steady[:, 0])
-    push = parts.B_zero
-    for _ in range(len(parts.A_zero)):
-        slide = np.abs(parts.C_zero @ push)[:, 0]
-        out[slide > SLIDES * (np.abs(parts.C_zero) @ np.abs(push))[:, 0] + SLIDES * np.abs(left).max()] = np.inf
-        push = parts.A_zero @ push
-    return out
+def _displacement(A: Array, left: Array, where: slice, horizon: float) -> Array:
+    """(n,) |positions| of x' = A x + left from zero: steady, and of the slow part those reached within the horizon."""
+    both = parts(A, 1 / horizon)
+    steady = -both.fast_right @ np.linalg.solve(both.fast, both.fast_left @ left) if len(both.fast) else np.zeros(len(A))
+    if not both.slow.block.size:
+        return np.abs(steady[where])
+    push = both.slow.left @ left
+    slid = (both.slow.right @ both.slow.integral(horizon) @ push)[where]
+    rounding = np.abs(both.slow.right[where]) @ np.abs(both.slow.integral(horizon)) @ (np.abs(both.slow.left) @ np.abs(left))
+    return np.abs(steady[where] + np.where(np.abs(slid) > SLIDES * rounding, slid, 0.0))

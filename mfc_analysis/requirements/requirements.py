@@ -14,18 +14,20 @@ usual case is gravity under a law without model and integral; where no feedback 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from math import inf, nan
+from dataclasses import dataclass
+from math import inf, isinf, nan
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfc_analysis.analysis.system import HORIZON, checked_horizon
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.requirements.evidence import Evidence, Found
 from mfc_analysis.requirements.line import Line, Status, worst
+from mfc_analysis.requirements.slow import slow_words
 
 RESIDUAL_MATTERS = 1e-3  #: [rad, m] implied steady error above which a verdict is WATCH at best
 
@@ -129,14 +131,16 @@ class Requirements:
     phase_deg: float | None = None  #: [deg] 0 .. 180
     delay: float | None = None  #: [s] delay margin: additional dead time at which the loop stays stable
     sensitivity_peak: float | None = None  #: at most; >= 1
-    damping_ratio: float | None = None  #: of every closed-loop pole that is not at zero; 0 .. 1 (dead time: of the rightmost roots)
+    damping_ratio: float | None = None  #: of every closed-loop pole that is not slow; 0 .. 1 (dead time: of the rightmost roots)
     disk_margin: float | None = None  #: alpha, all channels at once; 0 .. 2
     settling_time: float | None = None  #: [s] 2 % settling of every linear step from a reference channel to its coordinate
     overshoot: float | None = None  #: fraction of the final value, of the same steps
     tracking_error: float | None = None  #: [rad, m] largest component of e (X_e) in a nonlinear run along the reference, integrals at 0
     torque_fraction: float | None = None  #: largest commanded torque / limit in that run (velocity laws: velocity / limit)
+    horizon: float = HORIZON  #: [s] of the verdict: roots with |s| < 1/horizon are slow; inf: every root is judged by its sign
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "horizon", checked_horizon(self.horizon))
         for name, kind in KINDS.items():
             given = getattr(self, name)
             if given is not None:
@@ -148,13 +152,20 @@ class Requirements:
         if not isinstance(asked, Mapping):
             raise BadArgument("requirements", asked, f"a mapping of some of {', '.join(KINDS)} to numbers")
         for name in asked:
-            if name not in KINDS:
-                raise UnknownName("requirements", name, KINDS)
+            if name not in (*KINDS, "horizon"):
+                raise UnknownName("requirements", name, (*KINDS, "horizon"))
         return cls(**asked)
 
     def asked(self) -> dict[str, float]:
-        """The fields that are set, with their limits."""
-        return {f.name: float(getattr(self, f.name)) for f in fields(self) if getattr(self, f.name) is not None}
+        """The limits that are set."""
+        return {name: float(getattr(self, name)) for name in KINDS if getattr(self, name) is not None}
+
+    @property
+    def code(self) -> str:
+        """Python code of this object."""
+        horizon = {} if self.horizon == HORIZON else {"horizon": f"float({str(self.horizon)!r})" if isinf(self.horizon) else repr(self.horizon)}
+        said = {name: repr(limit) for name, limit in self.asked().items()} | horizon
+        return f"mfc.Requirements({', '.join(f'{name}={text}' for name, text in said.items())})"
 
     def check(self, loop: ClosedLoop, times: ArrayLike, at: str | None = None) -> Verdict:
         """The verdict over one loop.
@@ -167,7 +178,7 @@ class Requirements:
         """
         if not isinstance(loop, ClosedLoop):
             raise BadArgument("loop", loop, "a ClosedLoop")
-        evidence = Evidence(loop.equations, checks.times(times), at)
+        evidence = Evidence(loop.equations, checks.times(times), at, self.horizon)
         lines = [_stable(evidence)]
         lines += [compared(name, limit, evidence.found(name)) for name, limit in self.asked().items()]
         lines += _residual(evidence, self.tracking_error)
@@ -193,15 +204,15 @@ def compared(name: str, limit: float, found: Found) -> Line:
 
 
 def _stable(evidence: Evidence) -> Line:
-    """The line "stable": the rightmost root that is not at zero lies in the left half plane, and nothing drifts."""
+    """The line "stable": the rightmost root that is not slow lies in the left half plane, and nothing drifts."""
     verdict = evidence.stability
     neutral, drifting = int(verdict.neutral.max(initial=0)), verdict.drifts
     if evidence.nothing_else:
-        status = Status.WATCH if drifting.any() else Status.FAIL
-        note = "drifts: roots at zero in a Jordan chain" if drifting.any() else f"neutral, not stable: {neutral} free positions and no other root"
-        return Line("stable", 0.0, nan, "1/s", nan, status, "", float(evidence.times[0]), "<", note=note)
+        does = "drifts" if drifting.any() else "neutral"
+        note = f"{does}, not stable: every root is slow, nothing holds the loop within {verdict.horizon:g} s"
+        return Line("stable", 0.0, nan, "1/s", nan, Status.FAIL, "", float(evidence.times[0]), "<", note=note)
     root = evidence.slowest_root()
-    notes = [f"neutral: {neutral} free position{'s' if neutral > 1 else ''}"] if neutral else []
+    notes = [f"neutral: {neutral} slow root{'s' if neutral > 1 else ''}"] if neutral else []
     status = Status.PASS
     if not verdict.nonzero_stable.all():
         status = Status.FAIL
@@ -210,7 +221,7 @@ def _stable(evidence: Evidence) -> Line:
     elif drifting.any():
         status = Status.WATCH
         first = float(evidence.times[int(np.argmax(drifting))])
-        notes.append(f"drifts at {int(drifting.sum())} of {evidence.times.size} times, first t = {first:.4g} s: a position slides or a speed ramps")
+        notes.append(f"drifts at {int(drifting.sum())} of {evidence.times.size} times, first t = {first:.4g} s: {slow_words(evidence).moves}")
     elif not verdict.stable.all():
         status = Status.FAIL
     return Line("stable", 0.0, root.value, "1/s", -root.value, status, root.where, root.when, "<", note="; ".join(notes))
@@ -236,10 +247,10 @@ def _notes(evidence: Evidence) -> tuple[str, ...]:
         out.append(
             f"frozen-time metrics on a moving reference (coordinates {lin.coordinates!r}); floquet() and transient_growth() account for the motion"
         )
-    if verdict.neutral.any():
-        out.append(f"neutral roots (free positions), left out of the metrics: {int(verdict.neutral.max())}")
-    if verdict.idle.any():
-        out.append(f"integrals that act on nothing, left out: {int(verdict.idle.max())}")
+    if verdict.slow.any():
+        out.append(slow_words(evidence).roots)
+    if verdict.idle:
+        out.append(f"integrals that act on nothing, left out: {verdict.idle}")
     if verdict.drifts.any():
-        out.append("the loop drifts: its margins are those of the roots that are not at zero, and the verdict is WATCH at best")
+        out.append(f"{slow_words(evidence).means}; margins are those of the roots that are not slow, and the verdict is WATCH at best")
     return tuple(out)

@@ -27,7 +27,7 @@ def limits(one: StudyLoop, progress: Progress = lambda what, done, of: None) -> 
         if name == "max_bandwidth":
             out.append(_bandwidth(one))
         else:
-            out.append(getattr(design, name)(one.loop, times=one.times))
+            out.append(getattr(design, name)(one.loop, times=one.times, horizon=one.requirements.horizon))
     return tuple(out)
 
 

@@ -58,7 +58,8 @@ class StudyLoop:
         """The requirements."""
         from mfc_analysis.requirements.requirements import Requirements
 
-        return Requirements(**self.table.requirements.given())
+        horizon = {} if self.table.horizon is None else {"horizon": self.table.horizon}
+        return Requirements(**self.table.requirements.given(), **horizon)
 
     @property
     def asks(self) -> bool:

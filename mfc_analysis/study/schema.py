@@ -337,6 +337,7 @@ class LoopTable(Table):
     hardware: HardwareTable | None = None
     times: Annotated[TimesTable | None, BeforeValidator(_span)] = None
     at: str | None = None
+    horizon: Annotated[float, Field(gt=0)] | None = None  #: [s] of the verdict; inf: every root is judged by its sign
     requirements: RequirementsTable = RequirementsTable()
     ranges: RangesTable = RangesTable()
     design: DesignTable = DesignTable()

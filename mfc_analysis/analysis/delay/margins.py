@@ -6,8 +6,9 @@ E = diag(e^(-s T)), the sensitivities of the loop with dead time are
     (I - E G)^-1 = W [(I - E) W + E]^-1,        S_i = e_i W [(I - E) W + E]^-1 p_i,
 
 p_i = e_i (at "position": e_q + s e_v). There are infinitely many crossings. They are bracketed on a frequency grid that
-resolves the open and closed poles, the rightmost roots of the loop with dead time, and the phase of e^(-jwT); then polished.
-The search continues to higher frequencies until no further crossing can limit a margin.
+resolves the open and closed poles, the roots of the loop with dead time near the axis (by the samples of ``count``), and the phase of
+e^(-jwT); then polished. The search continues to higher frequencies until no further crossing can limit a margin. No frequency below
+1/horizon counts; a gain interval also ends on the indentation of the contour (``arc``).
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
-from mfc_analysis.analysis.delay.roots import Delayed, delayed_points, rightmost
+from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points
+from mfc_analysis.analysis.delay.count import unstable_roots
+from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, places
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
 from mfc_analysis.analysis.frequency.resolvent import CONDITION
-from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, assembled, dc_sensitivity
-from mfc_analysis.analysis.spectrum import Spectrum
+from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, assembled
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
@@ -43,53 +45,48 @@ class _Point:
     rates: Ints | None  #: (n,) indices of the wires with their rates
     modes: tuple[Complex, Complex, Complex] | None  #: poles, C V, V^-1 B where these are well conditioned
 
-    def H(self, w: Array) -> Complex:
-        """S_i - 1 of all channels, (n, k), at w (k,) [rad/s]."""
-        W, matrix = self._loop(w)
+    def H(self, s: Complex) -> Complex:
+        """S_i - 1 of all channels, (n, k), at s (k,)."""
+        W, matrix = self._loop(s)
         n = self.rows.size
-        inject = np.zeros((w.size, len(self.T), n), np.complex128)
+        inject = np.zeros((s.size, len(self.T), n), np.complex128)
         inject[:, self.rows, np.arange(n)] = 1
         if self.rates is not None:
-            inject[:, self.rates, np.arange(n)] = 1j * w[:, None]
+            inject[:, self.rates, np.arange(n)] = s[:, None]
         X = np.linalg.solve(matrix, inject)
         return np.asarray(np.einsum("wnk,wkn->nw", W[:, self.rows], X) - 1)
 
-    def one(self, channel: Ints, w: Array) -> Complex:
-        """S_i - 1 (k,) of one channel (k,) each at w (k,) [rad/s]."""
-        W, matrix = self._loop(w)
-        each = np.arange(w.size)
-        inject = np.zeros((w.size, len(self.T), 1), np.complex128)
+    def one(self, channel: Ints, s: Complex) -> Complex:
+        """S_i - 1 (k,) of one channel (k,) each at s (k,)."""
+        W, matrix = self._loop(s)
+        each = np.arange(s.size)
+        inject = np.zeros((s.size, len(self.T), 1), np.complex128)
         inject[each, self.rows[channel], 0] = 1
         if self.rates is not None:
-            inject[each, self.rates[channel], 0] = 1j * w
+            inject[each, self.rates[channel], 0] = s
         X = np.linalg.solve(matrix, inject)
         return np.asarray((W[each, self.rows[channel]] * X[:, :, 0]).sum(axis=1) - 1)
 
-    def _loop(self, w: Array) -> tuple[Complex, Complex]:
-        W = self._W(w)
-        E = np.exp(-1j * w[:, None] * self.T)[:, :, None]
+    def _loop(self, s: Complex) -> tuple[Complex, Complex]:
+        W = self._W(s)
+        E = np.exp(-s[:, None] * self.T)[:, :, None]
         return W, (1 - E) * W + E * np.eye(len(self.T))
 
-    def _W(self, w: Array) -> Complex:
+    def _W(self, s: Complex) -> Complex:
         if self.modes is not None:
             poles, left, right = self.modes
-            return np.asarray((left / (1j * w[:, None, None] - poles)) @ right + self.M)
-        matrix = 1j * w[:, None, None] * np.eye(len(self.A)) - self.A
-        return np.asarray(self.C @ np.linalg.solve(matrix, np.broadcast_to(self.B.astype(complex), (w.size, *self.B.shape))) + self.M)
+            return np.asarray((left / (s[:, None, None] - poles)) @ right + self.M)
+        matrix = s[:, None, None] * np.eye(len(self.A)) - self.A
+        return np.asarray(self.C @ np.linalg.solve(matrix, np.broadcast_to(self.B.astype(complex), (s.size, *self.B.shape))) + self.M)
 
 
-def delayed_metrics(system: OpenSystem, at: str, judged: Bools, known: Spectrum) -> MarginMetrics:
+def delayed_metrics(system: OpenSystem, at: str, judged: Bools) -> MarginMetrics:
     """The metrics of all channels of the point ``at``, dead time exact; NaN where not judged."""
     ch = channels(system, at)
     metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
-    some = np.asarray(np.flatnonzero(judged), np.int64)
-    if not some.size:
-        return metrics
-    at_zero = dc_sensitivity(ch.at(some), known.roots.count[some])
-    cut = delayed_points(system)
-    for k, i in enumerate(some):
-        one = _point(system, at, int(i))
-        found = _metrics(one, ch.at(np.array([i])), cut[i], at_zero[k : k + 1], known.poles[i][~known.zero[i]])
+    cut = delayed_points(system) if judged.any() else []
+    for i in np.flatnonzero(judged):
+        found = _metrics(_point(system, at, int(i)), ch.at(np.array([i])), cut[i], system.radius)
         for name, values in vars(metrics).items():
             values[i] = found[name]
     return metrics
@@ -112,35 +109,37 @@ def _point(system: OpenSystem, at: str, index: int) -> _Point:
     return _Point(A, B, C, through[np.ix_(matter, matter)], system.wire_delay[matter], where[0], where[1] if len(where) > 1 else None, modes)
 
 
-def _metrics(point: _Point, ch: Channels, cut: Delayed, at_zero: Array, poles: Complex) -> dict[str, Array]:
-    roots = rightmost(cut, 12)
+def _metrics(point: _Point, ch: Channels, cut: Delayed, radius: float) -> dict[str, Array]:
     opened = [np.linalg.eigvals(ch.A[0] - np.outer(ch.B[0][:, i], ch.C[0][i]) / (1 + ch.H0[0, i])) for i in range(ch.H0.shape[1])]
-    places = np.concatenate([poles, roots, *opened]).astype(np.complex128)
-    places = places[np.abs(places) > 1e-9 * np.abs(places).max()]
-    w = thinned(frequencies_of_interest(places[None]), places[None])[0]
-    high = max(float(w[-1]), 3 * np.pi / float(cut.T.min()))
-    low_end, searched = 0.0, w
+    poles = np.concatenate([cut.places, *opened]).astype(np.complex128)
+    w = thinned(frequencies_of_interest(poles[None], radius), poles[None])[0]
+    axis = unstable_roots(cut, radius)[1].s.imag if cut.in_a_loop else w
+    w = np.union1d(w, axis[(axis >= radius) & (axis <= w[-1])])
+    low_end, high = radius, max(float(w[-1]), 3 * np.pi / float(cut.T.min()))
+    searched = w
+    at, theta = places(radius, 0.0), angles(poles[None], radius)
+    arc = arc_crossings(theta, point.H(at(theta[0]))[None], at, lambda _, channel, s: point.one(channel, s))
     gain: list[tuple[Ints, Array, Complex]] = []
     phase: list[tuple[Ints, Array, Complex]] = []
-    peaks = np.ones(ch.H0.shape[1]), np.full(ch.H0.shape[1], np.inf)
+    end = np.abs(1 + point.H(np.array([1j * radius]))[:, 0])
+    peaks = end, np.full(end.size, radius)
     metrics: dict[str, Array] = {}
     for _ in range(6):
         piece = _resolved(searched, low_end, high, float(cut.T.max()))
-        H = point.H(piece)
+        H = point.H(1j * piece)
         piece, H = _refined(point, piece, H)
         gain.append(_crossings(point, piece, H, gain=True))
         phase.append(_crossings(point, piece, H, gain=False))
         peaks = _peaks(point, piece, H, *peaks)
-        metrics = assembled(_joined(gain), _joined(phase), at_zero, ch.H0, lambda x: x)
+        metrics = assembled(_joined(gain), _joined(phase), arc, ch.H0, lambda x: x)
         further = _needed(point, high, metrics["gain_increase"][0])
         if further <= high or piece.size >= MOST:
             break
         low_end, searched, high = high, np.array([high, further]), further
-    ends = np.stack([np.abs(1 + at_zero[0]), np.abs(1 + ch.H0[0])])
-    for end, place in zip(ends, (0.0, np.inf), strict=True):
-        better = end >= peaks[0] * (1 - 1e-12)
-        peaks = np.where(better, end, peaks[0]), np.where(better, place, peaks[1])
-    return {**metrics, "sensitivity_peak": peaks[0][None], "peak_frequency": peaks[1][None]}
+    far = np.abs(1 + ch.H0[0])
+    better = far >= peaks[0] * (1 - 1e-12)
+    peak, where = np.where(better, far, peaks[0]), np.where(better, np.inf, peaks[1])
+    return {**metrics, "sensitivity_peak": np.maximum(peak, 1.0)[None], "peak_frequency": where[None]}
 
 
 def _resolved(w: Array, low: float, high: float, longest: float) -> Array:
@@ -167,7 +166,7 @@ def _refined(point: _Point, w: Array, H: Complex) -> tuple[Array, Complex]:
             break
         left = np.array(sorted(gaps | {k + 1 for k in gaps}))
         extra = (w[left, None] + (w[left + 1] - w[left])[:, None] * np.linspace(0, 1, 8)[1:-1]).ravel()
-        w, H = np.concatenate([w, extra]), np.concatenate([H, point.H(extra)], axis=1)
+        w, H = np.concatenate([w, extra]), np.concatenate([H, point.H(1j * extra)], axis=1)
         w, first = np.unique(w, return_index=True)
         H = H[:, first]
     return w, H
@@ -189,7 +188,7 @@ def _crossings(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, A
             break
         try_ = (a[todo] * fb[todo] - b[todo] * fa[todo]) / (fb[todo] - fa[todo])
         x[todo] = np.where((try_ >= a[todo]) & (try_ <= b[todo]), try_, (a[todo] + b[todo]) / 2)
-        hx[todo] = point.one(channel[todo], x[todo])
+        hx[todo] = point.one(channel[todo], 1j * x[todo])
         fx = hx[todo].real + 0.5 if gain else hx[todo].imag
         right = (fx >= 0) == (fb[todo] >= 0)
         fa[todo], fb[todo] = np.where(right, fa[todo] / 2, fx), np.where(right, fx, fb[todo] / 2)
@@ -213,7 +212,7 @@ def _peaks(point: _Point, w: Array, H: Complex, peak: Array, where: Array) -> tu
     inner = np.linspace(0, 1, 9)
     for _ in range(7):
         x = a[:, None] + (b - a)[:, None] * inner
-        found = np.abs(1 + point.one(np.repeat(channel, inner.size), x.ravel())).reshape(x.shape)
+        found = np.abs(1 + point.one(np.repeat(channel, inner.size), 1j * x.ravel())).reshape(x.shape)
         top = found.argmax(axis=1)
         rows = np.arange(channel.size)
         better = found[rows, top] > best
@@ -234,7 +233,7 @@ def _joined(parts: list[tuple[Ints, Array, Complex]]) -> Crossings:
 def _needed(point: _Point, high: float, increase: Array) -> float:
     """[rad/s] up to which a crossing could limit a margin: |L| >= 1, or a gain below the increase found so far."""
     w = np.geomspace(high, 64 * high, 100)
-    H = point.H(w)
+    H = point.H(1j * w)
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(H / (1 + H))
     binds = size >= np.minimum(1.0, 0.98 / increase)[:, None]

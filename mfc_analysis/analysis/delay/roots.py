@@ -1,11 +1,7 @@
-"""The rightmost characteristic roots of a loop with dead time, exact. There are infinitely many roots.
+"""The rightmost characteristic roots of a loop with dead time. There are infinitely many roots.
 
-Only the delayed wires stay cut. With the others closed,
-
-    x' = A x + B w_in,   w_out = C x + D w_in,   w_in,j(t) = w_out,j(t - T_j),
-
-the roots are those of det [sI - A, -B; -E C, I - E D], E = diag(e^(-s T)). Chebyshev collocation of each wire's transport
-gives a matrix whose rightmost eigenvalues have nearly all digits; Newton on the determinant gives the rest.
+Chebyshev collocation of each wire's transport gives a matrix whose rightmost eigenvalues have nearly all digits; Newton on the determinant
+gives the rest. Collocation finds where roots are; how many are unstable is counted (``count``).
 
 Sources: Breda, Maset, Vermiglio, "Pseudospectral differencing methods for characteristic roots of delay differential
 equations", SIAM J. Sci. Comput. 27 (2005), 482-495 (the collocation); Trefethen, Spectral Methods in MATLAB, ch. 6 (its
@@ -15,131 +11,74 @@ matrix); Ruhe, "Algorithms for the nonlinear eigenvalue problem", SIAM J. Numer.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 
-from mfc_analysis.analysis.spectrum import inside, poles, spectrum
-from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.analysis.zero_roots import without_decoupled_zeros
+from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points, perron
+from mfc_analysis.analysis.delay.verdict import chain, delayed_verdicts
+from mfc_analysis.analysis.spectrum import poles, spectrum
+from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.errors import BadArgument, Unsupported
-from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
+from mfc_analysis.maths.arrays import Array, Complex, Ints
 
 MOST_NODES = 200  #: for one wire
-
-
-@dataclass(frozen=True, eq=False)
-class Delayed:
-    """One point of a loop with its delayed wires cut and the others closed: nd delayed wires."""
-
-    A: Array  #: (nx, nx)
-    B: Array  #: (nx, nd)
-    C: Array  #: (nd, nx)
-    D: Array  #: (nd, nd)
-    T: Array  #: (nd,) [s] > 0
-    zeros: int  #: roots at zero that are controllable and observable from the delayed wires
-    apart: int = 0  #: other roots at zero, already removed
-
-
-def delayed_points(system: OpenSystem) -> list[Delayed]:
-    """Each point of the loop with the delayed wires cut."""
-    late = system.wire_delay > 0
-    A, B, C, D = close_wires(system, keep=late)
-    nu, ny = system.nu, system.ny
-    zeros = spectrum(system).roots.count
-    points = []
-    for i in range(len(A)):
-        a, b, c, left = A[i], B[i][:, nu:], C[i][ny:], int(zeros[i])
-        if left:
-            a, b, c = without_decoupled_zeros(a, b, c)
-            left = max(0, left - (system.nx - len(a)))
-        points.append(Delayed(a, b, c, D[i][ny:, nu:], system.wire_delay[late], left, int(zeros[i]) - left))
-    return points
+MOST_SIZE = 600  #: of the collocated matrix
 
 
 def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
     """The (m, count) rightmost characteristic roots [rad/s] of the closed loop with its dead time, rightmost first.
 
-    Roots at zero are exact zeros. Where there are fewer roots (dead time outside every loop) the others are -inf.
-    Raises ``Unsupported`` for a sampled loop, whose dead time is in its poles, and ``BadArgument``.
+    Integrals that act on nothing are left out. Where there are fewer roots (dead time outside every loop) the others are -inf.
+    Raises ``Unsupported`` for a sampled loop, whose dead time is in its poles, ``BadArgument``, and ``NotConverged`` as ``stability``.
     """
     if system.dt:
         raise Unsupported("delay_roots", "a sampled loop", "a continuous one: the poles in z of a sampled loop include its dead time")
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise BadArgument("count", count, "a whole number >= 1")
+    system = without_idle(system)
     out = np.full((len(system.A), count), -np.inf, np.complex128)
-    if not system.wire_delay.any():
+    if not system.delayed:
         found = poles(system)
         order = np.lexsort((-found.imag, np.abs(found.imag), -found.real), axis=1)[:, :count]
         out[:, : order.shape[1]] = np.take_along_axis(found, order, 1)
         return out
-    for i, point in enumerate(delayed_points(system)):
-        zeros = point.zeros + point.apart
-        roots = _ordered(np.concatenate([np.zeros(zeros, np.complex128), rightmost(point, max(0, count - zeros))]))[:count]
+    verdicts = delayed_verdicts(system, spectrum(system))
+    for i, (point, verdict) in enumerate(zip(delayed_points(system), verdicts, strict=True)):
+        roots = _ordered(np.concatenate([verdict.slow_roots, rightmost(point, count, system.radius)]))[:count]
         out[i, : roots.size] = roots
     return out
 
 
-def delay_stable(system: OpenSystem) -> Bools:
-    """(m,) whether every characteristic root that is not at zero lies in the left half plane, dead time exact."""
-    verdict = np.zeros(len(system.A), bool)
-    for i, point in enumerate(delayed_points(system)):
-        if point.D.any() and _radius(np.abs(point.D)) >= 1:  # an infinite chain of roots in the right half plane
-            continue
-        roots = rightmost(point, 2)
-        fastest = np.array(np.abs(np.linalg.eigvals(point.A)).max(initial=0.0))
-        verdict[i] = bool(inside(roots, 0.0, fastest).all())
-    return verdict
-
-
-def rightmost(point: Delayed, count: int) -> Complex:
-    """At least ``count`` rightmost roots that are not at zero, if that many exist; rightmost first."""
-    reach = _reach(point)
-    if not reach:  # no dead time lies in a loop
-        roots = np.linalg.eigvals(point.A).astype(np.complex128)
-        return _ordered(roots[np.argsort(np.abs(roots), kind="stable")[point.zeros :]])[: max(count, 2)]
-    more, found_before = 0, -1
+def rightmost(point: Delayed, count: int, radius: float) -> Complex:
+    """At least ``count`` rightmost roots that are not slow, abs(s) >= ``radius`` [1/s], if that many exist; rightmost first."""
+    if not point.in_a_loop:
+        return _ordered(_fast(point.open_poles, radius))[: max(count, 2)]
+    reach, more, found_before = _reach(point), 0, -1
     good = np.zeros(0, np.complex128)
+    most = min(MOST_NODES, MOST_SIZE // len(point.T))
     for _ in range(6):
-        nodes = np.minimum(np.ceil(0.9 * reach * point.T) + 10 + more, MOST_NODES).astype(int)
-        found = _collocated(point, nodes)
-        good, sure = _polished(point, found[: 2 * count + 10])
-        if sure >= count or nodes.max() >= MOST_NODES or (more > 40 and sure <= found_before):
+        nodes = np.minimum(np.ceil(0.9 * reach * point.T) + 10 + more, most).astype(int)
+        good, sure = _polished(point, _fast(_collocated(point, nodes), radius)[: 2 * count + 10])
+        if sure >= count or nodes.max() >= most or (more > 40 and sure <= found_before):
             break
         more, found_before = 2 * more + 12, sure
-    return _ordered(good)[: max(count, 2)]
+    far = chain(point)[:count]  # unstable roots that turn faster than the nodes resolve
+    far = np.concatenate([far, far.conj()])
+    good = np.concatenate([good, far[np.abs(far[:, None] - good).min(axis=1, initial=np.inf) > 1e-6 * np.abs(far)]])
+    return _ordered(_fast(good, radius))[: max(count, 2)]
+
+
+def _fast(roots: Complex, radius: float) -> Complex:
+    return roots[np.abs(roots) >= radius]
 
 
 def _reach(point: Delayed) -> float:
-    """[rad/s] frequency above which no delayed loop can oscillate: the Perron root of |G(jw)| stays below one. 0: there is no loop."""
-    if not len(point.A) and not point.D.any():
-        return 0.0
-    size = np.abs(np.linalg.eigvals(point.A + point.B @ np.linalg.solve(np.eye(len(point.T)) - point.D, point.C)))
-    size = np.concatenate([size, np.abs(np.linalg.eigvals(point.A)), 1 / point.T])
-    top = size.max()
-    w = np.geomspace(max(size[size > 0].min(), 1e-3 * top) * 0.3, 1e3 * top, 80)
-    G = point.C @ np.linalg.solve(1j * w[:, None, None] * np.eye(len(point.A)) - point.A, point.B.astype(complex)) + point.D
-    strength = _perron(np.abs(G))
-    if strength.max() < 1e-12 * max(1.0, float(np.abs(G).max())):
-        return 0.0
-    alive = np.flatnonzero(strength >= 0.7)
+    """[rad/s] frequency above which no delayed loop can oscillate: the Perron root of |G(jw)| stays below one."""
+    size = np.abs(point.places)
+    even = np.geomspace(max(float(size.min()), 1e-3 * float(size.max())) * 0.3, 1e3 * float(size.max()), 80)
+    w = np.union1d(even, size * 1.0001)
+    alive = np.flatnonzero(perron(np.abs(point.response(1j * w)[0])) >= 0.7)
     return float(w[min(alive[-1] + 1, w.size - 1)]) if alive.size else float(w[0])
-
-
-def _perron(G: Array) -> Array:
-    """Upper bounds (k,) of the spectral radii of nonnegative G (k, n, n), close after a few powers: Collatz-Wielandt quotients."""
-    x = np.ones((*G.shape[:2], 1))
-    bound = np.full(len(G), np.inf)
-    for _ in range(12):
-        y = G @ x
-        bound = np.minimum(bound, (y / x).max(axis=(1, 2)))
-        x = y + 1e-6 * y.max(axis=1, keepdims=True) + 1e-300
-        x = x / x.max(axis=1, keepdims=True)
-    return np.where(G.any(axis=(1, 2)), bound, 0.0)
-
-
-def _radius(A: Array) -> float:
-    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
 
 
 def differentiation(n: int) -> Array:
@@ -152,7 +91,7 @@ def differentiation(n: int) -> Array:
 
 
 def _collocated(point: Delayed, nodes: Ints) -> Complex:
-    """Eigenvalues of the loop with each wire's transport collocated, without roots at zero; rightmost first."""
+    """Eigenvalues of the loop with each wire's transport collocated, rightmost first."""
     nx, nd = len(point.A), len(point.T)
     start = nx + np.concatenate([[0], np.cumsum(nodes)])
     big = np.zeros((start[-1], start[-1]))
@@ -165,8 +104,7 @@ def _collocated(point: Delayed, nodes: Ints) -> Complex:
         big[rows, rows] = d[1:, 1:]
         big[rows, :nx] = np.outer(d[1:, 0], point.C[j])
         big[rows, arrives] += np.outer(d[1:, 0], point.D[j])
-    roots = np.linalg.eigvals(big).astype(np.complex128)
-    return _ordered(roots[np.argsort(np.abs(roots), kind="stable")[point.zeros :]])
+    return _ordered(np.linalg.eigvals(big).astype(np.complex128))
 
 
 def _polished(point: Delayed, roots: Complex) -> tuple[Complex, int]:

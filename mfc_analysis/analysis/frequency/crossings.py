@@ -35,6 +35,9 @@ class Crossings:
     w: Array  #: (k,) [rad/s] > 0
     H: Complex  #: (k,) S_i(jw) - 1
 
+    def __getitem__(self, some: Bools) -> Crossings:
+        return Crossings(self.point[some], self.channel[some], self.w[some], self.H[some])
+
     @property
     def L(self) -> Complex:
         """(k,) the loop L_i(jw)."""
@@ -43,9 +46,9 @@ class Crossings:
 
 
 def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossings]:
-    """All gain crossovers (|L| = 1) and all phase crossings (L real) at 0 < w < inf of every point and channel.
+    """All gain crossovers (|L| = 1) and all phase crossings (L real) at w[:, 0] <= w < inf of every point and channel.
 
-    ``H``: (m, n, k) on the increasing frequencies ``w`` (m, k) of interest. Where modes are known, ``exclusion`` isolates the crossovers
+    ``H``: (m, n, k) on the increasing frequencies ``w`` (m, k) of interest; the first, 1/horizon, is the same for all points. Where modes are known, ``exclusion`` isolates the crossovers
     between them; this is cheaper than the eigenvalue problem, which is used where exclusion stops early.
     """
     left = np.ones(found.ch.H0.shape, bool)  # channels for the eigenvalue problem
@@ -57,18 +60,20 @@ def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossi
         some = Intervals(modal[some.point], some.channel, some.a, some.b, some.fa, some.fb)
         parts.append((some.point, some.channel, narrowed(found, some)))
     left &= ~found.ch.empty
-    gain, phase = _squared_frequencies(found.ch, found.poles, left)
-    parts.append(_candidates(gain))
+    lowest = float(w[0, 0])
+    gain, phase = _squared_frequencies(found.ch, found.poles, left, lowest)
+    parts.append(_candidates(gain, lowest))
     point, channel = np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
     start = np.concatenate([part[2] for part in parts])
-    return _polished(found, point, channel, start, gain=True), _polished(found, *_candidates(phase), gain=False)
+    both = _polished(found, point, channel, start, gain=True), _polished(found, *_candidates(phase, lowest), gain=False)
+    return both[0][both[0].w >= lowest], both[1][both[1].w >= lowest]
 
 
-def _squared_frequencies(ch: Channels, poles: Complex, with_gain: Bools) -> tuple[Complex, Complex]:
+def _squared_frequencies(ch: Channels, poles: Complex, with_gain: Bools, lowest: float) -> tuple[Complex, Complex]:
     """w^2 (m, n, nx) of the gain crossovers (channels ``with_gain`` (m, n)) and of the phase crossings, complex and infinite ones included."""
     m, nx = ch.A.shape[:2]
     n = ch.B.shape[2]
-    size = np.abs(poles)
+    size = np.maximum(np.abs(poles), lowest)
     size = np.where(size > 1e-9 * size.max(axis=1, keepdims=True), size, np.nan)
     shift = 1.2345 * np.exp(np.nanmean(np.log(size), axis=1))
     Z = np.linalg.inv(ch.A - 1j * shift[:, None, None] * np.eye(nx))
@@ -91,10 +96,10 @@ def _nonzero(x: Array) -> Array:
     return np.where(np.abs(x) < 1e-200, 1e-200, x)
 
 
-def _candidates(squared: Complex) -> tuple[Ints, Ints, Array]:
-    """Points, channels and w of the real positive eigenvalues, up to the rounding of a double eigenvalue."""
+def _candidates(squared: Complex, lowest: float) -> tuple[Ints, Ints, Array]:
+    """Points, channels and w of the real positive eigenvalues, up to the rounding of a double eigenvalue, not far below ``lowest``."""
     with np.errstate(invalid="ignore"):
-        real = (squared.real > 0) & (squared.imag >= 0) & (squared.imag <= 1e-5 * squared.real)
+        real = (squared.real > 0.5 * lowest**2) & (squared.imag >= 0) & (squared.imag <= 1e-5 * squared.real)
     point, channel, which = np.nonzero(real)
     return point, channel, np.sqrt(squared.real[point, channel, which])
 

@@ -19,18 +19,18 @@ CLIMBED = 3  #: local maxima refined in each channel,
 NEAR = 0.7  #: if they are at least this fraction of the highest
 
 
-def frequencies_of_interest(poles: Complex) -> Array:
-    """(m, k) increasing positive frequencies [rad/s] that resolve every resonance of the poles (m, nx)."""
+def frequencies_of_interest(poles: Complex, lowest: float) -> Array:
+    """(m, k) increasing frequencies [rad/s] from ``lowest`` on that resolve every resonance of the poles (m, nx)."""
     size = np.abs(poles)
-    top = size.max(axis=1, keepdims=True)
-    size = np.where(size > 1e-9 * top, size, top)
+    top = np.maximum(size.max(axis=1, keepdims=True), lowest or 1e-300)
+    size = np.where(size > 1e-9 * top, np.maximum(size, lowest), top)
     rate, height = np.abs(poles.real)[:, :, None], np.abs(poles.imag)[:, :, None]
     near = np.where(poles.imag[:, :, None] > 0, height + rate * AT, size[:, :, None] * BESIDE)
     near = np.where(poles.imag[:, :, None] < 0, np.concatenate([height + rate * BETWEEN, size[:, :, None]], axis=2), near)
     slow, fast = np.log(size.min(axis=1)) - 4.6, np.log(top[:, 0]) + 4.6
     ladder = np.exp(slow[:, None] + (fast - slow)[:, None] * np.linspace(0, 1, LADDER))
     every = np.concatenate([near.reshape(len(poles), -1), ladder], axis=1)
-    return np.sort(np.where(every > 0, every, ladder[:, :1]), axis=1)
+    return np.sort(np.concatenate([np.full((len(poles), 1), lowest), np.where(every > lowest, every, ladder[:, -1:])], axis=1), axis=1)
 
 
 def thinned(w: Array, poles: Complex) -> Array:
@@ -45,17 +45,17 @@ def thinned(w: Array, poles: Complex) -> Array:
     return np.sort(np.where(keep, w, w[:, -1:]), axis=1)[:, : int(keep.sum(axis=1).max())]
 
 
-def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: Complex) -> tuple[Array, Array]:
-    """Largest |S_i| (m, n) and its frequency (m, n) [rad/s], 0 and inf included.
+def sensitivity_peak(found: Resolvent, w: Array, H: Complex) -> tuple[Array, Array]:
+    """Largest |S_i| (m, n) from the lowest of the frequencies of interest ``w`` (m, k) to infinity, and its frequency (m, n) [rad/s].
 
-    ``at_zero``: S_i(0) - 1 (m, n), NaN: not used; ``H``: S_i - 1 (m, n, k) at frequencies of interest ``w`` (m, k).
+    ``H``: S_i - 1 (m, n, k) at these frequencies.
     """
     size = np.abs(1 + H)
-    ends = np.stack([np.abs(1 + at_zero), np.abs(1 + found.ch.H0)])
+    ends = np.stack([size[..., 0], np.abs(1 + found.ch.H0)])
     low, high = np.pad(size, ((0, 0), (0, 0), (1, 0)))[..., :-1], np.pad(size, ((0, 0), (0, 0), (0, 1)))[..., 1:]
     top = (size >= low) & (size >= high)
-    top &= ((w > w[:, :1]) & (w < w[:, -1:]))[:, None]  # the ends are a hundred times slower or faster than every pole
-    best = np.maximum(size.max(axis=2), np.where(np.isnan(ends), 0.0, ends).max(axis=0))
+    top &= ((w > w[:, :1]) & (w < w[:, -1:]))[:, None]
+    best = np.maximum(size.max(axis=2), ends.max(axis=0))
     top &= size > NEAR * best[..., None]
     ranked = np.argsort(np.where(top, -size, 0.0), axis=2)[..., :CLIMBED]
     point, channel, rank = np.nonzero(np.take_along_axis(top, ranked, 2))
@@ -63,7 +63,7 @@ def sensitivity_peak(found: Resolvent, at_zero: Array, w: Array, H: Complex) -> 
     peak, at = np.zeros(best.shape), np.full(best.shape, np.inf)
     order = np.argsort(value, kind="stable")  # of several values the last one written, the highest, stays
     peak[point[order], channel[order]], at[point[order], channel[order]] = value[order], where[order]
-    for end, frequency in zip(ends, (0.0, np.inf), strict=True):
+    for end, frequency in zip(ends, (w[:, :1], np.inf), strict=True):
         better = end >= peak * (1 - 1e-12)
         peak, at = np.where(better, end, peak), np.where(better, frequency, at)
     return peak, at

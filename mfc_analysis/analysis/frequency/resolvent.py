@@ -27,43 +27,52 @@ class Resolvent:
 
     def at(self, point: Ints, channel: Ints, w: Array) -> tuple[Complex, Complex]:
         """H and dH/dw, each (k,), of k cases: point, channel (k,) and w (k,) [rad/s]."""
-        H, slope = np.empty(w.shape, np.complex128), np.empty(w.shape, np.complex128)
+        H, slope = self.at_place(point, channel, 1j * w)
+        return H, 1j * slope
+
+    def at_place(self, point: Ints, channel: Ints, s: Complex) -> tuple[Complex, Complex]:
+        """H and dH/ds, each (k,), of k cases: point, channel (k,) and s (k,)."""
+        H, slope = np.empty(s.shape, np.complex128), np.empty(s.shape, np.complex128)
         modal = self.modal[point]
         for some, by in ((modal, self._by_modes), (~modal, self._by_solving)):
             if some.any():
-                H[some], slope[some] = by(point[some], channel[some], w[some])
+                H[some], slope[some] = by(point[some], channel[some], s[some])
         H += self.ch.H0[point, channel]
         return H, slope
 
     def on(self, w: Array) -> Complex:
         """H (m, n, k) of all channels at frequencies w (m, k) [rad/s] of each point."""
-        H = np.empty((*self.ch.H0.shape, w.shape[1]), np.complex128)
+        return self.over(1j * w)
+
+    def over(self, s: Complex) -> Complex:
+        """H (m, n, k) of all channels at s (m, k) of each point."""
+        H = np.empty((*self.ch.H0.shape, s.shape[1]), np.complex128)
         if self.modal.any():
-            gap = 1 / (1j * w[self.modal, None, :] - self.poles[self.modal, :, None])
+            gap = 1 / (s[self.modal, None, :] - self.poles[self.modal, :, None])
             H[self.modal] = self.residues[self.modal] @ gap
         for i in np.flatnonzero(~self.modal):
-            places, which = np.unique(w[i], return_inverse=True)
+            places, which = np.unique(s[i], return_inverse=True)
             H[i] = np.einsum("nx,kxn->nk", self.ch.C[i], _solved(self.ch.A[i], places, self.ch.B[i]))[:, which]
         H += self.ch.H0[:, :, None]
         return H
 
-    def _by_modes(self, point: Ints, channel: Ints, w: Array) -> tuple[Complex, Complex]:
-        gap = 1 / (1j * w[:, None] - self.poles[point])
+    def _by_modes(self, point: Ints, channel: Ints, s: Complex) -> tuple[Complex, Complex]:
+        gap = 1 / (s[:, None] - self.poles[point])
         part = self.residues[point, channel] * gap
-        return part.sum(axis=1), -1j * (part * gap).sum(axis=1)
+        return part.sum(axis=1), -(part * gap).sum(axis=1)
 
-    def _by_solving(self, point: Ints, channel: Ints, w: Array) -> tuple[Complex, Complex]:
+    def _by_solving(self, point: Ints, channel: Ints, s: Complex) -> tuple[Complex, Complex]:
         nx = self.ch.A.shape[-1]
-        H, slope = np.empty(w.shape, np.complex128), np.empty(w.shape, np.complex128)
+        H, slope = np.empty(s.shape, np.complex128), np.empty(s.shape, np.complex128)
         step = max(1, CHUNK // max(1, nx * nx))
-        for k in range(0, w.size, step):
+        for k in range(0, s.size, step):
             p, c = point[k : k + step], channel[k : k + step]
-            matrix = 1j * w[k : k + step, None, None] * np.eye(nx) - self.ch.A[p]
+            matrix = s[k : k + step, None, None] * np.eye(nx) - self.ch.A[p]
             row = self.ch.C[p, c]
             x = np.linalg.solve(matrix, self.ch.B[p, :, c][:, :, None].astype(complex))
             y = np.linalg.solve(matrix, x)
             H[k : k + step] = (row * x[:, :, 0]).sum(axis=1)
-            slope[k : k + step] = -1j * (row * y[:, :, 0]).sum(axis=1)
+            slope[k : k + step] = -(row * y[:, :, 0]).sum(axis=1)
         return H, slope
 
     def some(self, index: Ints) -> Resolvent:
@@ -98,12 +107,12 @@ def _condition(V: Complex, inverse: Complex) -> Array:
     return np.asarray(np.where(np.isfinite(found), found, np.inf))
 
 
-def _solved(A: Array, w: Array, B: Array) -> Complex:
-    """(jwI - A)^-1 B, (k, nx, n), of one A at frequencies w (k,)."""
+def _solved(A: Array, s: Complex, B: Array) -> Complex:
+    """(sI - A)^-1 B, (k, nx, n), of one A at s (k,)."""
     nx = len(A)
-    out = np.empty((w.size, *B.shape), np.complex128)
+    out = np.empty((s.size, *B.shape), np.complex128)
     step = max(1, CHUNK // max(1, nx * nx))
-    for k in range(0, w.size, step):
-        matrix = 1j * w[k : k + step, None, None] * np.eye(nx) - A
+    for k in range(0, s.size, step):
+        matrix = s[k : k + step, None, None] * np.eye(nx) - A
         out[k : k + step] = np.linalg.solve(matrix, np.broadcast_to(B.astype(complex), (len(matrix), *B.shape)))
     return out

@@ -10,7 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import lambertw
 
-from mfc_analysis.analysis.delay.roots import delay_roots, delay_stable
+from mfc_analysis.analysis.delay.roots import delay_roots
+from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, Unsupported
@@ -36,7 +37,7 @@ def test_the_double_root_at_the_branch_point_is_found_to_half_of_the_digits():
 
 @pytest.mark.parametrize("factor", [1 - 1e-6, 1 + 1e-6])
 def test_an_integrator_is_stable_up_to_a_quarter_period(factor):
-    assert delay_stable(open_system(3 / s, delay=factor * np.pi / 6))[0] == (factor < 1)
+    assert stability(open_system(3 / s, delay=factor * np.pi / 6)).nonzero_stable[0] == (factor < 1)
 
 
 @pytest.mark.parametrize("factor", [1 - 1e-6, 1 + 1e-6])

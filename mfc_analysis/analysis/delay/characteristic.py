@@ -1,0 +1,157 @@
+"""The characteristic function of a loop with dead time.
+
+Only the delayed wires stay cut. With the others closed,
+
+    x' = A x + B w_in,   w_out = C x + D w_in,   w_in,j(t) = w_out,j(t - T_j),
+
+and with E = diag(e^(-s T)), G(s) = C (sI - A)^-1 B + D the roots of the loop are the zeros of
+
+    f(s) = det(sI - A) det(I - E G(s)),
+
+which is entire: f has no poles. A sampled loop has x[k + 1] and z = e^(s dt) in the place of x' and s; its dead times are whole samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import matrix_balance
+
+from mfc_analysis.analysis.spectrum import rates
+from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.maths.arrays import Array, Complex
+
+CHUNK = 2_000_000  #: complex numbers solved for at a time
+PHASES = 48  #: relative phases tried of two dead times
+NO_LOOP = 1e-12  #: a loop gain below this fraction of the largest entry of G is no loop
+
+
+@dataclass(frozen=True, eq=False)
+class Delayed:
+    """One point of a loop with its nd delayed wires cut and the others closed; states balanced."""
+
+    A: Array  #: (nx, nx)
+    B: Array  #: (nx, nd)
+    C: Array  #: (nd, nx)
+    D: Array  #: (nd, nd)
+    T: Array  #: (nd,) [s] > 0
+    scale: Array  #: (nx,) physical state = scale x
+    dt: float = 0.0  #: [s] 0: continuous
+
+    @cached_property
+    def open_poles(self) -> Complex:
+        """(nx,) poles of G: eigenvalues of A."""
+        return np.linalg.eigvals(self.A).astype(np.complex128)
+
+    @cached_property
+    def closed_poles(self) -> Complex:
+        """(nx,) poles of the loop without dead time."""
+        nd = len(self.T)
+        return np.linalg.eigvals(self.A + self.B @ np.linalg.solve(np.eye(nd) - self.D, self.C)).astype(np.complex128)
+
+    @cached_property
+    def places(self) -> Complex:
+        """[rad/s] the poles with and without dead time in the s plane, and 1/T: where f has features."""
+        s = rates(np.concatenate([self.open_poles, self.closed_poles]), self.dt)
+        return np.asarray(np.concatenate([s[np.isfinite(s) & (s != 0)], 1 / self.T]), np.complex128)
+
+    @cached_property
+    def one_delay(self) -> bool:
+        """True where all dead times are equal: E is then a number."""
+        return bool(np.ptp(self.T) <= 1e-12 * self.T.max())
+
+    @cached_property
+    def strongest_direct(self) -> float:
+        """Largest spectral radius of E D over all phases of E: 1 or more gives an infinite chain of roots in the right half plane."""
+        if not self.D.any() or self.dt:
+            return 0.0
+        if self.one_delay:
+            return float(np.abs(np.linalg.eigvals(self.D)).max())
+        late = self.T > self.T.min() * (1 + 1e-12)
+        turns = np.exp(1j * np.linspace(0, 2 * np.pi, PHASES, endpoint=False))[:, None, None] * late[:, None] + ~late[:, None]
+        return float(np.abs(np.linalg.eigvals(turns * self.D)).max())
+
+    @cached_property
+    def in_a_loop(self) -> bool:
+        """False where no dead time lies in a loop: the roots are then those of A."""
+        size = np.abs(self.places)
+        w = np.geomspace(1e-2 * size.min(), min(1e2 * size.max(), np.pi / self.dt if self.dt else np.inf), 40)
+        G = self.response(1j * w)[0]
+        return bool(perron(np.abs(G)).max(initial=0.0) >= NO_LOOP * max(1.0, float(np.abs(G).max(initial=0.0))))
+
+    def z(self, s: Complex) -> tuple[Complex, Complex]:
+        """The variable of A at s (k,), and its derivative: s and 1, or z and dz/ds of a sampled loop."""
+        if not self.dt:
+            return s, np.ones_like(s)
+        z = np.exp(s * self.dt)
+        return z, self.dt * z
+
+    def response(self, s: Complex) -> tuple[Complex, Complex]:
+        """G (k, nd, nd) and dG/ds at s (k,)."""
+        nx, nd = len(self.A), len(self.T)
+        z, slope = self.z(np.asarray(s, np.complex128))
+        z = np.where((z[:, None] == self.open_poles).any(axis=1), z * (1 + 1e-14) + 1e-300, z)
+        G, dG = np.empty((z.size, nd, nd), np.complex128), np.empty((z.size, nd, nd), np.complex128)
+        step = max(1, CHUNK // max(1, nx * nx))
+        for k in range(0, z.size, step):
+            matrix = z[k : k + step, None, None] * np.eye(nx) - self.A
+            X = _solved(matrix, np.broadcast_to(self.B.astype(complex), (len(matrix), *self.B.shape)))
+            G[k : k + step] = self.C @ X + self.D
+            dG[k : k + step] = -self.C @ _solved(matrix, X) * slope[k : k + step, None, None]
+        return G, dG
+
+    def value(self, s: Complex, poles: Complex) -> tuple[Array, Complex, Complex]:
+        """Of g = f / prod(s - poles) at s (k,): its phase [rad] modulo a turn and (dg/ds) / g, each (k,); and E G (k, nd, nd)."""
+        s = np.asarray(s, np.complex128)
+        G, dG = self.response(s)
+        E = np.exp(-s[:, None] * self.T)[:, :, None]
+        loop = E * G
+        K = np.eye(len(self.T)) - loop
+        dK = self.T[:, None] * loop - E * dG
+        z, slope = self.z(s)
+        up, down = z[:, None] - self.open_poles, z[:, None] - poles
+        up = np.where(up == 0, 1e-300, up)
+        phase = np.angle(np.linalg.slogdet(K)[0]) + np.angle(up).sum(axis=1) - np.angle(down).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            rate = np.trace(_solved(K, dK), axis1=1, axis2=2) + slope * ((1 / up).sum(axis=1) - (1 / down).sum(axis=1))
+        return phase, np.asarray(rate), loop
+
+    def contraction(self, loop: Complex) -> Array:
+        """(k,) bounds of the spectral radius of E G over all phases of E, from E G (k, nd, nd)."""
+        if self.one_delay:
+            return np.asarray(np.abs(np.linalg.eigvals(loop)).max(axis=1))
+        return perron(np.abs(loop))
+
+
+def delayed_points(system: OpenSystem) -> list[Delayed]:
+    """Each point of the loop with the delayed wires cut."""
+    late = system.wire_delay > 0
+    A, B, C, D = close_wires(system, keep=late)
+    points = []
+    for i in range(len(A)):
+        a, b, c = A[i], B[i][:, system.nu :], C[i][system.ny :]
+        balanced, (scale, _) = matrix_balance(a, permute=False, separate=True)
+        points.append(Delayed(balanced, b / scale[:, None], c * scale, D[i][system.ny :, system.nu :], system.wire_delay[late], scale, system.dt))
+    return points
+
+
+def perron(G: Array) -> Array:
+    """Upper bounds (k,) of the spectral radii of nonnegative G (k, n, n), close after a few powers: Collatz-Wielandt quotients."""
+    x = np.ones((*G.shape[:2], 1))
+    bound = np.full(len(G), np.inf)
+    for _ in range(12):
+        y = G @ x
+        bound = np.minimum(bound, (y / x).max(axis=(1, 2)))
+        x = y + 1e-6 * y.max(axis=1, keepdims=True) + 1e-300
+        x = x / x.max(axis=1, keepdims=True)
+    return np.where(G.any(axis=(1, 2)), bound, 0.0)
+
+
+def _solved(matrix: Complex, right: Complex) -> Complex:
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:  # a few of them are exactly singular
+        tiny = 1e-14 * (np.abs(matrix).max(axis=(1, 2), keepdims=True) + 1e-300)
+        return np.asarray(np.linalg.solve(matrix + tiny * np.eye(matrix.shape[-1]), right))

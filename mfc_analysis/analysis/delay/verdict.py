@@ -1,0 +1,101 @@
+"""The stability verdict of a loop with dead time: a root found in the unstable region, or a count of the roots there that cannot miss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points
+from mfc_analysis.analysis.delay.count import NARROW, roots_within, unstable_roots
+from mfc_analysis.analysis.delay.slow import slow_part
+from mfc_analysis.analysis.spectrum import Spectrum, inside
+from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.errors import NotConverged
+from mfc_analysis.maths.arrays import Array, Complex
+
+CERTAINLY = 1 - 1e-9  #: a direct gain round a dead time from here on has an infinite chain of unstable roots
+BESIDE = np.arange(-16, 17) + 0.5  #: half turns of e^(-sT) beside a place at which an unstable root is sought,
+NEWTON = 9  #: and steps, the first three from eigenvalue to eigenvalue
+MOST_GROWTH = 50.0  #: largest growth in one dead time of a root that is sought
+TRIED = 6  #: places at which an unstable root is sought before the roots are counted
+
+
+@dataclass(frozen=True, eq=False)
+class DelayedVerdict:
+    """The verdict at one point."""
+
+    slow: int  #: slow roots with multiplicity
+    decays: bool  #: every root that is not slow
+    held: bool  #: some root is not slow
+    slow_roots: Complex  #: [1/s]
+    motion: Array  #: (nx, nx) what keeps moving over the second half of the horizon
+
+
+def delayed_verdicts(system: OpenSystem, known: Spectrum) -> list[DelayedVerdict]:
+    """The verdict at each point of a loop with dead time, without idle integrals. Raises ``NotConverged`` where it cannot be settled."""
+    return [_verdict(system, known, i, point) for i, point in enumerate(delayed_points(system))]
+
+
+def _verdict(system: OpenSystem, known: Spectrum, index: int, point: Delayed) -> DelayedVerdict:
+    radius, nx, part = system.radius, system.nx, known.parts[index]
+    if not point.in_a_loop:
+        slow = int(known.slow[index].sum())
+        decays = bool((inside(known.poles[index], system.dt) | known.slow[index]).all())
+        roots = np.zeros(0, np.complex128) if part is None else part.slow.roots
+        return DelayedVerdict(
+            slow, decays, slow < nx - system.registers, roots, part.slow.moves(system.horizon) if part and slow else np.zeros((nx, nx))
+        )
+    decays = unstable_count(point, radius) == 0
+    slow = roots_within(point, radius) if radius else 0
+    slow_roots, motion = slow_part(point, radius, slow) if slow else (np.zeros(0, np.complex128), np.zeros((nx, nx)))
+    return DelayedVerdict(slow, decays, bool(not system.dt or slow < nx - system.registers), slow_roots, motion)
+
+
+def unstable_count(point: Delayed, radius: float) -> int:
+    """The number of unstable roots that are not slow, or, where one is easily found, at least one. Raises ``NotConverged``."""
+    if point.strongest_direct >= CERTAINLY or some_unstable(point, radius):
+        return 1
+    return unstable_roots(point, radius)[0]
+
+
+def some_unstable(point: Delayed, radius: float) -> bool:
+    """True where a root in the unstable region is found near a place at which an eigenvalue of E G is above one; proved by the winding about it."""
+    for s in chain(point)[:TRIED]:
+        size = min(0.5 * s.real, 0.5 / float(point.T.max()))
+        if abs(s) - size <= radius:
+            continue
+        try:
+            if roots_within(point, size, s):
+                return True
+        except NotConverged:
+            continue
+    return False
+
+
+def chain(point: Delayed) -> Complex:
+    """Approximate unstable roots, rightmost first: s = jw + log(lambda) / T, lambda the eigenvalues of E G, then Newton."""
+    T, places = float(point.T.max()), point.places
+    even = np.geomspace(0.3 / T, max(1e2 * float(np.abs(places).max()), 3 / T), 160)
+    w = np.unique(np.concatenate([even, (np.abs(places.imag)[:, None] + np.pi / T * BESIDE).ravel()]))
+    w = w[(w >= 0.3 / T) & (w * point.dt < np.pi)]
+    with np.errstate(all="ignore"):
+        s = (1j * w[:, None] + np.log(_eigenvalues(point, 1j * w)) / T).ravel()
+        for k in range(NEWTON):
+            s = s[np.isfinite(s) & (s.real > -1 / T) & (s.real * T < MOST_GROWTH) & (s.imag > 0)]
+            if not s.size:
+                return s
+            if k < 3:
+                found = _eigenvalues(point, s)
+                s = s + np.log(found[np.arange(s.size), np.abs(np.log(found)).argmin(axis=1)]) / T
+            else:
+                step = 1 / point.value(s, np.zeros(0, np.complex128))[1]
+                s = s - step
+    s = s[np.isfinite(s) & (s.real > NARROW * np.abs(s)) & (s.imag > 0) & (np.abs(step) < 1e-3 * s.real)]
+    s = s[np.argsort(-s.real)]
+    return np.asarray(s[np.concatenate([[True], np.abs(np.diff(s)) > 1e-9 * np.abs(s[1:])])] if s.size else s)
+
+
+def _eigenvalues(point: Delayed, s: Complex) -> Complex:
+    """(k, nd) eigenvalues of E G at s (k,)."""
+    return np.linalg.eigvals(point.response(s)[0] * np.exp(-s[:, None] * point.T)[:, :, None])
