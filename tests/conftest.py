@@ -140,6 +140,8 @@ LAWS: tuple[Case, ...] = (
     ),
     Case("9.16 null", lambda n: L.TaskComputedTorque(90.0, None, 18.0, null_damping=3.0)),
     Case("9.16 damped", lambda n: L.TaskComputedTorque(90.0, 40.0, 18.0, null_damping=3.0, damping=0.05, mass=np.diag(each(n, 1.5)))),
+    Case("9.16 damped inertia", lambda n: L.TaskComputedTorque(90.0, None, each(6, 18.0), null_damping=3.0, damping=0.05)),
+    Case("9.16 null euclidean", lambda n: L.TaskComputedTorque(90.0, 40.0, 18.0, null_damping=3.0, inverse="euclidean")),
     Case("9.21", lambda n: L.OpenLoopForce(F_D)),
     Case("9.22", lambda n: L.ForcePI(F_D, full(6, 1.5), each(6, 2.0))),
     Case("9.23", lambda n: L.DampedForcePI(F_D, 1.5, full(6, 2.0), each(6, 30.0))),

@@ -37,15 +37,26 @@ class TaskComputedTorque(ToolLaw):
     r"""Computed torque in tool space: equation 9.16.
 
     .. math:: \tau = J_b^T\,(\hat\Lambda(\tfrac{d}{dt}([Ad]V_d) + K_p X_e + K_i \int X_e + K_d V_e) + \hat\eta)
+        + N^T(\hat h - c\,\hat M v), \quad N = 1 - \bar J J, \quad \bar J = \hat M^{-1} J^T \hat\Lambda
 
-    computed as tau = M^ (J^#(command - J' v) + null-space damping) + h^, which is equal for a square J and also holds for
-    redundant arms. ``form="printed"``: V_d' and X_e' as printed; on a moving path they differ at first (X_e') and second order.
+    The last term is 0 for a square J. On a redundant arm it is what the page leaves open: the self-motion N v. Its bias is compensated, so that
+    all of h^ is, and it is damped by c = ``null_damping``. ``form="printed"``: V_d' and X_e' as printed; on a moving path they differ at first
+    (X_e') and second order.
 
     Args:
         kp: [1/s^2], ki: [1/s^3], kd: [1/s]; scalar, (6,) or (6, 6) on (linear, angular) in the tool frame.
-        mass: a constant (n, n) joint mass matrix [kg m^2] instead of M^(q).
-        null_damping: [1/s] on joint motion that does not move the tool (redundant arms).
-        damping: [-] of the inverse of J; 0: raises NearSingular near a singularity.
+        mass: a constant (n, n) joint mass matrix [kg m^2] as M^ instead of M^(q).
+        null_damping: c >= 0 [1/s] on joint motion that does not move the tool (redundant arms). With an exact model that motion
+            decays as exp(-c t) at rest; 0: it has no damping and drifts.
+        damping: [-] of the inverse of J; 0: raises NearSingular near a singularity. See ``inverse``.
+        inverse: how a redundant arm shares a tool acceleration among its joints; without effect on arms of up to six joints.
+            "dynamic": as above, with the least kinetic energy; J M^^-1 N^T = 0, so no null-space torque accelerates the tool.
+            "euclidean": tau = M^ (J^# (command - J' v) - c (1 - J^# J) v) + h^ with the Moore-Penrose J^#, the least squares of joint accelerations
+            (radians and metres alike).
+
+    With ``damping`` the inverse of J is J^T (J J^T + damping^2)^-1; in the dynamic form of a redundant arm Lambda^ is
+    (J M^^-1 J^T + damping^2 n / trace(M^))^-1, which is the same where M^ is a multiple of 1 and does not change if the arm is heavier by a factor.
+    It weakens the command everywhere: by the factor s^2 / (s^2 + damping^2) along a direction of J with the singular value s.
 
     Closed form: with an exact model and scalar gains, six times s^3 + kd s^2 + kp s + ki in error coordinates (X_e, V_e, z).
     """
@@ -57,6 +68,7 @@ class TaskComputedTorque(ToolLaw):
     mass: ArrayLike | None = None
     null_damping: float = 0.0
     damping: float = 0.0
+    inverse: Literal["dynamic", "euclidean"] = "dynamic"
     equation = "9.16"
     opens_at = ("torque", "command", "position")
     forms = ("standard", "printed")
@@ -67,6 +79,7 @@ class TaskComputedTorque(ToolLaw):
         checks.choice("form", self.form, self.forms)
         checks.number("null_damping", self.null_damping, low=0.0)
         checks.number("damping", self.damping, low=0.0)
+        checks.choice("inverse", self.inverse, ("dynamic", "euclidean"))
         if self.mass is not None:
             object.__setattr__(self, "mass", mass_matrix(self.mass))
 
@@ -76,14 +89,17 @@ class TaskComputedTorque(ToolLaw):
         check_mass(self.mass, n)
 
     def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:
-        """tau = M^ (J^#(A - J' v) - null_damping (1 - J^# J) v) + h^."""
-        E = model.pose(now.q).inverse() @ ref.X
-        X_e, V = E.log(), model.jacobian(now.q, now.v)
+        """tau = J^T Lambda^ (A - J' v + c V) + h^ - c M^ v, or M^ (J^# (A - J' v + c V) - c v) + h^; A the command, c the null-space damping."""
+        q, v, mass = now.q, now.v, None if self.mass is None else np.asarray(self.mass)
+        E = model.pose(q).inverse() @ ref.X
+        X_e, V = E.log(), model.jacobian(q, v)
         command = tap("command", tool_acceleration(E, X_e, V, ref, self.kp, self.ki, self.kd, now["z"], printed=self.form == "printed"))
-        a = model.solve_jacobian(now.q, command - model.jacobian_dot(now.q, now.v), self.damping)
-        if self.null_damping:
-            a = a - self.null_damping * (now.v - model.solve_jacobian(now.q, V, self.damping))
-        rates = {"z": X_e} if self.ki else {}
-        if self.mass is None:
-            return Action(model.inverse_dynamics(now.q, now.v, a), rates, X_e)
-        return Action(matvec(np.asarray(self.mass), a) + model.bias(now.q, now.v), rates, X_e)
+        wanted = command - model.jacobian_dot(q, v) + self.null_damping * V
+        a = -self.null_damping * v
+        if self.inverse == "dynamic" and model.n > 6:
+            pushed = model.jacobian_transpose(q, model.task_mass(q, wanted, self.damping, mass))
+        else:
+            pushed = np.zeros(model.n)
+            a = a + model.solve_jacobian(q, wanted, self.damping)
+        tau = model.inverse_dynamics(q, v, a) if mass is None else matvec(mass, a) + model.bias(q, v)
+        return Action(tau + pushed, {"z": X_e} if self.ki else {}, X_e)

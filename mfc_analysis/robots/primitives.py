@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from mfc_analysis.errors import NearSingular
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.dual import Dual, Vector, chain, elementwise, times, value
+from mfc_analysis.maths.dual import Dual, Vector, chain, elementwise, matvec, times, value
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.singularity import REFUSE_CONDITION, nearest_singular
 
@@ -187,20 +187,36 @@ class Primitives:
 
         return chain(y, (dq, q), (lambda: W @ at.J_T, x))
 
-    def mobility(self, q: Vector, f: Vector) -> Array | Dual:
-        """Lambda(q)^-1 f = J M^-1 J^T f."""
-        return self.jacobian(q, self.solve_mass(q, self.jacobian_transpose(q, f)))
+    def mobility(self, q: Vector, f: Vector, mass: Array | None = None) -> Array | Dual:
+        """Lambda(q)^-1 f = J M^-1 J^T f. ``mass``: a constant (n, n) matrix in place of M(q)."""
+        tau = self.jacobian_transpose(q, f)
+        return self.jacobian(q, self.solve_mass(q, tau) if mass is None else matvec(np.asarray(np.linalg.inv(mass), float), tau))
 
-    def task_mass(self, q: Vector, x: Vector) -> Array | Dual:
-        """Lambda(q) x with Lambda = (J M^-1 J^T)^-1: equation 9.15. Raises NearSingular as ``solve_jacobian``."""
+    def task_mass(self, q: Vector, x: Vector, damping: float = 0.0, mass: Array | None = None) -> Array | Dual:
+        """Lambda(q) x with Lambda = (J M^-1 J^T)^-1: equation 9.15. ``mass``: a constant (n, n) matrix in place of M(q).
+
+        With damping [-] (J M^-1 J^T + damping^2 n / trace(M))^-1, which also exists at a singularity. Raises NearSingular as ``solve_jacobian``.
+        """
         at = self.at(value(q))
-        Lambda = at.Lambda
+        M = at.M if mass is None else mass
+        trace = np.trace(M, axis1=-2, axis2=-1)[..., None, None]
+        soft = damping**2 * self.n / trace
+        if mass is None and damping == 0.0:
+            Lambda = at.Lambda
+        else:
+            if damping == 0.0:
+                at.check_regular()
+            Lambda = np.asarray(np.linalg.inv(at.J @ np.linalg.solve(M, at.J_T) + soft * np.eye(6)), float)
         y = times(Lambda, value(x))
         if not isinstance(q, Dual):
             return chain(y, (lambda: Lambda, x))
-        back = self.mobility(q, y)  # Lambda^-1 y with y held: its tangent is d(Lambda^-1) y
+        back = self.mobility(q, y, mass)  # Lambda^-1 y with y held: its tangent is d(Lambda^-1) y
         assert isinstance(back, Dual)
         tangent = x.tangent - back.tangent if isinstance(x, Dual) else -back.tangent
+        if mass is None and damping:
+            diagonal = [self.mass(q, axis)[i : i + 1] for i, axis in enumerate(np.eye(self.n))]
+            trace_rate = sum(part.tangent for part in diagonal if isinstance(part, Dual))  # (..., 1, N)
+            tangent = tangent + soft / trace * y[..., None] * trace_rate
         return Dual(y, Lambda @ tangent)
 
     # --- loops over Pinocchio calls ------------------------------------------------------------------------------

@@ -174,6 +174,7 @@ class LawTable(Table):
     outer: OuterTable | None = None
     damping: Number | None = None
     null_damping: Number | None = None
+    inverse: str | None = None
     F_d: Vector | None = None
     kfp: Values | None = None
     kfi: Values | None = None

@@ -14,14 +14,17 @@ from mfc_analysis import laws as L
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.dynamics.operating_point import trimmed
-from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
+from mfc_analysis.errors import BadArgument, MfcWarning, NearPi, NearSingular, Unsupported
 from mfc_analysis.laws.task_torque import TaskComputedTorque
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import ad, adjoint, exp6, inverse, log6
+from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold, ToolHold, ToolLine, ToolSinusoid, from_tool_path
-from tests.conftest import ARMS, SIX, arm, full, moving, plant, regular_pose, seed
+from tests.conftest import ARMS, SIX, arm, each, full, moving, plant, regular_pose, seed
 
 TIMES = np.array([0.0, 0.37, 0.81])
+REDUNDANT = [n for n in ARMS if n not in SIX]
+INVERSES = ("dynamic", "euclidean")
 EASY = np.array([0.1, -0.9, 1.6, -0.7, 1.2, 0.3])  # of the UR5, far from singular
 
 
@@ -161,7 +164,7 @@ def test_as_printed_a_moving_path_changes_the_loop_and_a_rest_does_not() -> None
 # --- redundant arms ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [n for n in ARMS if n not in SIX])
+@pytest.mark.parametrize("name", REDUNDANT)
 def test_on_a_redundant_arm_the_elbow_drifts_unless_it_is_damped(name: str) -> None:
     robot, ref = arm(name).with_friction(viscous=0.0), Hold(regular_pose(name))
     design = np.poly(np.repeat(np.roots([1, 18.0, 90.0]), 6))
@@ -178,16 +181,128 @@ def test_on_a_redundant_arm_error_coordinates_do_not_determine_the_state() -> No
         ClosedLoop(arm("panda"), TaskComputedTorque(90.0), Hold(regular_pose("panda"))).linearize([0.0], coordinates="error")
 
 
-def test_null_space_damping_does_not_move_the_tool() -> None:
-    robot, rng = arm("panda"), seed("null")
-    q, v = regular_pose("panda"), rng.uniform(-1, 1, 7)
-    loops = [ClosedLoop(robot, TaskComputedTorque(90.0, kd=18.0, null_damping=c), Hold(q)) for c in (0.0, 5.0)]
-    x = np.concatenate([q, v])
-    a = [one.equations.rates(0.0, x)[7:] for one in loops]
+def torque(robot: Robot, law: TaskComputedTorque, q: np.ndarray, v: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """The law's torque at (q, v), holding the pose X with the integral at 0."""
+    loop = ClosedLoop(robot, law, ToolHold(X), q_start=q)
+    return np.asarray(loop.equations.flow(0.0, np.concatenate([q, v])).command)
+
+
+@pytest.mark.parametrize("name", REDUNDANT)
+@pytest.mark.parametrize("which", range(3))
+@pytest.mark.parametrize("mass", [False, True], ids=["model", "constant"])
+def test_on_a_redundant_arm_the_law_is_the_page_and_a_damped_null_space(name: str, which: int, mass: bool) -> None:
+    """tau = J^T (Lambda^ (...) + eta^) + N^T (h^ - c M^ v) with N = 1 - M^^-1 J^T Lambda^ J, and M^ (J^# (...) - c (1 - J^# J) v) + h^."""
+    robot, rng, kp, kd, c = arm(name), seed("redundant", name, which), 80.0, 15.0, 4.0
+    q, v = np.array(regular_pose(name, which)), rng.uniform(-0.8, 0.8, 7)
+    X = robot.pose(q) @ exp6(rng.uniform(-0.05, 0.05, 6))
+    M = np.diag(np.linspace(0.5, 2.0, 7)) + 0.1 if mass else robot.mass(q)
+    J, h = robot.jacobian(q), robot.bias(q, v) + robot.viscous * v
+    J_dot_v, V = robot.jacobian_rate(q, v) @ v, J @ v
+    Lambda = np.linalg.inv(J @ np.linalg.solve(M, J.T))
+    N = np.eye(7) - np.linalg.solve(M, J.T @ Lambda @ J)
+    command = kp * log6(inverse(robot.pose(q)) @ X) - kd * V
+    eta = Lambda @ (J @ np.linalg.solve(M, h) - J_dot_v)
+    page = J.T @ (Lambda @ command + eta) + N.T @ (h - c * M @ v)
+    sharp = np.linalg.pinv(J)
+    euclidean = M @ (sharp @ (command - J_dot_v) - c * (v - sharp @ V)) + h
+    given = {"null_damping": c, "mass": M if mass else None}
+    scale = max(np.abs(page).max(), np.abs(euclidean).max())
+    assert_allclose(torque(robot, TaskComputedTorque(kp, kd=kd, **given), q, v, X), page, atol=1e-10 * scale)
+    assert_allclose(torque(robot, TaskComputedTorque(kp, kd=kd, inverse="euclidean", **given), q, v, X), euclidean, atol=1e-10 * scale)
+    assert np.abs(page - euclidean).max() > 1e-3 * scale
+    # the null-space torque does not accelerate the tool
+    damping = torque(robot, TaskComputedTorque(kp, kd=kd, **given), q, v, X) - torque(
+        robot, TaskComputedTorque(kp, kd=kd, mass=given["mass"]), q, v, X
+    )
+    assert_allclose(damping, -c * N.T @ M @ v, atol=1e-10 * scale)
+    assert_allclose(J @ np.linalg.solve(M, N.T), 0, atol=1e-9 * np.abs(J @ np.linalg.inv(M)).max())
+    assert_allclose(J @ np.linalg.solve(M, damping), 0, atol=1e-9 * np.abs(np.linalg.solve(M, damping)).max())
+
+
+@pytest.mark.parametrize("name", REDUNDANT)
+def test_of_all_joint_accelerations_one_form_takes_the_least_energy_and_one_the_shortest(name: str) -> None:
+    robot, q, rng = arm(name).with_friction(viscous=0.0), np.array(regular_pose(name)), seed("least", name)
+    X = robot.pose(q) @ exp6(rng.uniform(-0.05, 0.05, 6))
+    M, still = robot.mass(q), np.zeros(7)
+    a = {
+        inverse: np.linalg.solve(M, torque(robot, TaskComputedTorque(80.0, inverse=inverse), q, still, X) - robot.gravity(q)) for inverse in INVERSES
+    }
+    null = np.linalg.svd(robot.jacobian(q))[2][-1]
+    assert_allclose(robot.jacobian(q) @ (a["dynamic"] - a["euclidean"]), 0, atol=1e-8)
+    assert abs(null @ M @ a["dynamic"]) < 1e-9 * np.linalg.norm(a["dynamic"]) < np.linalg.norm(null @ M @ a["euclidean"])
+    assert abs(null @ a["euclidean"]) < 1e-9 * np.linalg.norm(a["euclidean"]) < np.linalg.norm(null @ a["dynamic"])
+
+
+@pytest.mark.parametrize("inverse", INVERSES)
+@pytest.mark.parametrize("form", TaskComputedTorque.forms)
+@pytest.mark.parametrize("name", REDUNDANT)
+def test_on_a_redundant_arm_an_exact_model_gives_the_tool_the_commanded_acceleration(name: str, form: str, inverse: str) -> None:
+    """dV/dt = command for any state on a moving path, whatever the null-space damping; and the self-motion decays at its rate."""
+    robot, rng, c = arm(name), seed("exact", name), 5.0
+    ref = ToolSinusoid(robot.pose(regular_pose(name)), [0.01, 0.015, -0.01], 3.0, axis=(1, 0, 2), angle=0.1, phase=0.4)
+    q, v, z = regular_pose(name) + rng.uniform(-0.05, 0.05, 7), rng.uniform(-0.5, 0.5, 7), rng.uniform(-0.1, 0.1, 6)
+    law, t = TaskComputedTorque(90.0, 40.0, 18.0, form=form, inverse=inverse, null_damping=c), 0.6
     J = robot.jacobian(q)
-    assert_allclose(J @ a[0], J @ a[1], atol=1e-9)
+
+    def accelerations(law: TaskComputedTorque) -> tuple[np.ndarray, np.ndarray]:
+        a = ClosedLoop(robot, law, ref, q_start=regular_pose(name)).equations.rates(t, np.concatenate([q, v, z]))[7:14]
+        return a, J @ a + robot.jacobian_rate(q, v) @ v
+
+    damped, free = accelerations(law), accelerations(law.changed(null_damping=0.0))
+    assert_allclose(damped[1], free[1], atol=1e-8 * np.abs(free[1]).max())
+    if form == "standard":
+        at = ref(t)
+        E = np.linalg.inv(robot.pose(q)) @ at.X
+        V, V_d = J @ v, adjoint(E) @ at.V
+        command = adjoint(E) @ at.dV - ad(V) @ V_d + 90.0 * log6(E) + 40.0 * z + 18.0 * (V_d - V)
+        assert_allclose(free[1], command, atol=1e-8 * np.abs(command).max())
     null = np.linalg.svd(J)[2][-1]
-    assert_allclose(null @ (a[1] - a[0]), -5.0 * null @ v, atol=1e-9)
+    row = null @ robot.mass(q) if inverse == "dynamic" else null  # N v and (1 - J^# J) v measured along the null space
+    assert_allclose(row @ (damped[0] - free[0]), -c * row @ v, atol=1e-8 * np.abs(row @ v))
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.05])
+@pytest.mark.parametrize("mass", [None, np.diag(each(6, 1.5))], ids=["model", "constant"])
+@pytest.mark.parametrize("name", SIX)
+def test_for_a_square_jacobian_both_inverses_are_one(name: str, mass: np.ndarray | None, damping: float) -> None:
+    law = TaskComputedTorque(90.0, 40.0, 18.0, mass=mass, damping=damping, null_damping=3.0)
+    one, other = (on(name, law.changed(inverse=inverse)).linearize(TIMES, coordinates="state").A for inverse in INVERSES)
+    assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(one).max())
+
+
+@pytest.mark.parametrize("inverse", INVERSES)
+@pytest.mark.parametrize("name", REDUNDANT)
+def test_in_a_run_a_redundant_arm_follows_the_error_equation_and_its_elbow_comes_to_rest(name: str, inverse: str) -> None:
+    robot, q, kp, kd = arm(name), np.array(regular_pose(name)), 30.0, 11.0  # poles -5 and -6
+    law = TaskComputedTorque(kp, kd=kd, inverse=inverse, null_damping=6.0)
+    loop = ClosedLoop(robot, law, ToolHold(robot.pose(q)), q_start=q)
+    X_e = np.array([0.01, -0.006, 0.008, 0, 0, 0])
+    null = np.linalg.svd(robot.jacobian(loop.simulate([0.0, 1e-3], X_e, v=np.zeros(7)).q[0]))[2][-1]
+    sim = loop.simulate(np.linspace(0, 3.0, 61), X_e, v=0.5 * null, rtol=1e-9, atol=1e-11)
+    assert_allclose(sim.error, (6 * np.exp(-5 * sim.t) - 5 * np.exp(-6 * sim.t))[:, None] * X_e, atol=1e-7)
+    assert np.linalg.norm(sim.v[-1]) < 1e-4 < 0.4 < np.linalg.norm(sim.v[0])
+
+
+@pytest.mark.parametrize("inverse", INVERSES)
+def test_with_damping_a_redundant_arm_passes_a_singular_pose_and_a_heavier_arm_passes_it_alike(inverse: str) -> None:
+    """The upper arm in line with the first joint: without damping it is refused. Lambda^ is damped relative to the arm's own inertia."""
+    robot = arm("panda").with_friction(viscous=0.0)
+    q = np.array([0.3, 0.0, np.pi / 2, -1.8, 0.0, 1.8, 0.2])
+    assert np.linalg.svd(robot.jacobian(q), compute_uv=False)[-1] < 1e-9
+    law = TaskComputedTorque(90.0, kd=18.0, null_damping=3.0, inverse=inverse)
+    with pytest.raises(NearSingular):
+        ClosedLoop(robot, law, Hold(q)).linearize([0.0])
+    law = law.changed(damping=0.05)
+    A = [ClosedLoop(r, law, Hold(q)).linearize([0.0]).A for r in (robot, robot.with_inertia_scaled(20.0))]
+    assert np.isfinite(A[0]).all() and np.abs(A[0]).max() < 1e4
+    assert_allclose(A[1], A[0], atol=1e-9 * np.abs(A[0]).max())
+    sim = ClosedLoop(robot, law, Hold(q)).simulate(0.5, [0.005, 0, 0, 0, 0, 0.01], q=q + 0.02)
+    assert not sim.diverged and np.isfinite(sim.q).all()
+
+
+def test_an_unknown_inverse_is_refused() -> None:
+    with pytest.raises(BadArgument, match=r"inverse: got 'moore'.*'dynamic'.*'euclidean'"):
+        TaskComputedTorque(90.0, inverse="moore")
 
 
 # --- singular poses and large errors -----------------------------------------------------------------------------------------

@@ -49,6 +49,11 @@ def loops():
             q_start=Q,
             controller_model=ur5,
         ),
+        "redundant": mfc.ClosedLoop(
+            mfc.robots.load("panda"),
+            laws.TaskComputedTorque(100.0, kd=20.0, null_damping=3.0, inverse="euclidean"),
+            tr.Hold([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8]),
+        ),
         "hybrid": mfc.ClosedLoop(
             ur5,
             laws.HybridMotionForce([0, 0, 5, 0, 0, 0], kp=100.0, kd=20.0, kfp=1.0, kdamp=30.0, constraints=np.eye(6)[2:3]),

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mfc_analysis import robots
 from mfc_analysis.errors import NearSingular
 from mfc_analysis.maths.dual import Dual
 from mfc_analysis.maths.se3 import exp6, inverse, log6
+from mfc_analysis.robots.catalogue import ur5_urdf
 from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.robots.robot import Robot
 from tests.conftest import ROBOTS, arm, plant, regular_pose, seed
@@ -36,12 +36,19 @@ PRIMITIVES: dict[str, Callable[[Primitives], Call]] = {
     "solve_jacobian damped": lambda P: lambda q, v, a, f: P.solve_jacobian(q, f, 0.1),
     "mobility": lambda P: lambda q, v, a, f: P.mobility(q, f),
     "task_mass": lambda P: lambda q, v, a, f: P.task_mass(q, f),
+    "task_mass damped": lambda P: lambda q, v, a, f: P.task_mass(q, f, 0.1),
+    "task_mass constant": lambda P: lambda q, v, a, f: P.task_mass(q, f, 0.1, constant_mass(P.n)),
 }
-REORDERED = Robot.from_urdf(robots.catalogue.ur5_urdf(), tool="tool0", joints=list(arm("ur5").joint_names)[::-1])
+REORDERED = Robot.from_urdf(ur5_urdf(), tool="tool0", joints=list(arm("ur5").joint_names)[::-1])
 TURNING = Robot.from_urdf(CONTINUOUS, tool="two")
 BRANCHED = Robot.from_urdf(FORK, tool="right")  # a joint that does not move the tool
 EVERY = {**{name: plant(name) for name in ROBOTS}, "reordered": REORDERED, "continuous": TURNING, "branched": BRANCHED}
 CENTRES = {"reordered": regular_pose("ur5")[::-1], "continuous": np.array([0.4, 0.3]), "branched": np.array([0.4, 0.3, -0.7])}
+
+
+def constant_mass(n: int) -> np.ndarray:
+    """(n, n) a full mass matrix."""
+    return np.diag(np.linspace(0.5, 2.0, n)) + 0.1
 
 
 def point(name: str) -> tuple[np.ndarray, ...]:
@@ -140,6 +147,18 @@ def test_the_pseudo_inverse_is_that_of_least_squares() -> None:
     assert_allclose(Primitives(arm("ur5")).solve_jacobian(regular_pose("ur5"), x, 0.1), damped, atol=1e-10)
 
 
+def test_the_task_inertia_takes_another_mass_matrix_and_damping() -> None:
+    P, q, x, m = Primitives(arm("panda")), regular_pose("panda"), np.random.default_rng(1).normal(size=6), constant_mass(7)
+    J, M = arm("panda").jacobian(q), arm("panda").mass(q)
+    assert_allclose(P.mobility(q, P.task_mass(q, x, 0.0, m), m), x, atol=1e-10)
+    assert_allclose(P.task_mass(q, x, 0.0, m), np.linalg.solve(J @ np.linalg.solve(m, J.T), x), atol=1e-10)
+    for given, mass in ((None, M), (m, m)):
+        damped = J @ np.linalg.solve(mass, J.T) + 0.01 * 7 / np.trace(mass) * np.eye(6)
+        assert_allclose(P.task_mass(q, x, 0.1, given), np.linalg.solve(damped, x), atol=1e-10)
+    # with a mass matrix that is a multiple of 1 it is the damped inverse of J
+    assert_allclose(J.T @ P.task_mass(q, x, 0.1, 3.0 * np.eye(7)), 3.0 * P.solve_jacobian(q, x, 0.1), atol=1e-10)
+
+
 def test_batches_of_any_shape_are_points_one_by_one() -> None:
     P, rng = Primitives(plant("kinova")), np.random.default_rng(5)
     q, v, a = rng.uniform(-1, 1, (3, 2, 4, 6))
@@ -174,7 +193,10 @@ def test_a_singular_jacobian_is_told_refused_and_yields_to_damping() -> None:
         with pytest.raises(NearSingular, match="tool0") as info:
             call(straight, np.ones(6))
         assert info.value.frame == "tool0" and info.value.sigma_min < 1e-12
+    with pytest.raises(NearSingular, match="tool0"):
+        P.task_mass(straight, np.ones(6), mass=np.eye(6))
     assert np.isfinite(P.solve_jacobian(straight, np.ones(6), 0.05)).all()
+    assert np.isfinite(P.task_mass(straight, np.ones(6), 0.05)).all()
 
 
 def test_a_payload_at_the_tool_is_a_body_there() -> None:

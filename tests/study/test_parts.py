@@ -237,6 +237,15 @@ def test_each_law_of_the_chapter_runs_from_a_study(tmp_path, number):
     assert np.isfinite(one.loop.linearize(one.times).A).all()
 
 
+def test_the_inverse_of_a_redundant_arm_is_a_key():
+    law = {"equation": "9.16", "kp": 100.0, "kd": 20.0, "null_damping": 5.0}
+    assert parts(law=law).law.inverse == "dynamic"
+    assert parts(law={**law, "inverse": "euclidean"}).law.inverse == "euclidean"
+    with pytest.raises(StudyError, match="'euclidean'") as why:
+        _ = parts(law={**law, "inverse": "moore"}).law
+    assert why.value.key == "law.inverse"
+
+
 def test_a_law_by_name_is_the_one_by_number():
     one, other = parts(law={"name": "JointPID", "kp": 5.0}).law, parts(law={"equation": "9.8", "kp": 5.0}).law
     assert type(one) is type(other) is laws.JointPID and float(one.kp.array) == float(other.kp.array) == 5.0
