@@ -89,6 +89,7 @@ def results() -> dict[str, Any]:
         "quasi-static": PRESSING.quasi_static(),
         "gains": PID,
         "damping matrix": mfc.gains.cartesian_damping(ARM, Q, [500.0] * 6, 0.7),
+        "joint gains": mfc.gains.joint_pid(ARM, Q, natural_frequency=8.0),
         "limit": mfc.design.max_delay(_made(20.0)),
         "bandwidth": mfc.design.max_bandwidth(_made, mfc.Requirements(phase_deg=30), [0.0], upper=1000.0),
         "worst case": mfc.design.worst_case(_heavier, {"mass": [0.0, 1.0]}, [0.0], "phase_deg"),

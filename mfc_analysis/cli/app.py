@@ -168,6 +168,8 @@ def gains(
     stiffness: Annotated[str | None, typer.Option(help="force-pi: stiffness of the surface, in N/m; cartesian-damping: one or six numbers.")] = None,
     mass: Annotated[float | None, typer.Option(help="force-pi: moving mass, in kg.")] = None,
     lag: Annotated[float | None, typer.Option(help="force-pi: lag of the torque loop, in s.")] = None,
+    torque_lag: Annotated[float | None, typer.Option(help="joint-pid: lag of each torque in the coupled loop, in s.")] = None,
+    delay: Annotated[float | None, typer.Option(help="joint-pid: dead time of each torque in the coupled loop, in s.")] = None,
     friction: Annotated[float | None, typer.Option(help="force-pi: friction of the moving mass, in N s/m.")] = None,
     ratio: Annotated[float | None, typer.Option(help="cartesian-damping: damping ratio of each mode; default: 1.")] = None,
 ) -> None:

@@ -8,7 +8,7 @@ Every helper takes exactly one of
 - ``settling_time`` [s]: the last time at which the step response of T is 2 % away from 1,
 
 and returns ``Gains``, which unpack into a law: ``ComputedTorque(**pid(bandwidth=hertz(4)))``. The achieved metrics are computed
-from the polynomials of the final loop. L is the loop of the design, in negative feedback:
+from the polynomials of the final loop; ``joint_pid`` adds those of the coupled arm. L is the loop of the design, in negative feedback:
 
 ================  =====================================  ==========================================================
 ``p``, ``pi``     1/(inertia s) (9.2-9.5)                s + kp;  s^2 + kp s + ki
@@ -23,7 +23,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,10 +32,12 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.gains.force_loop import force_design
+from mfc_analysis.gains.joints import coupled_loop, motion
 from mfc_analysis.gains.result import Achieved, DampingMatrix, Gains, Value
 from mfc_analysis.gains.scalar_loop import LoopMetrics, loop_metrics
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.robots.coupling import warn_without_armature
 
 if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
@@ -130,27 +133,37 @@ def joint_pid(
     crossover: float | None = None,
     settling_time: float | None = None,
     damping: float = 1.0,
+    torque_lag: float = 0.0,
+    delay: float = 0.0,
 ) -> Gains:
     """PID gains of independent joints, law 9.8: those of ``pid`` times the effective inertia M_jj(q) of each joint, armature included.
+
+    The loop of the design leaves out gravity, friction and coupling: ``achieved`` are the metrics of each joint alone. ``coupled`` is the
+    arm with the loops of all joints closed, linearised exactly with these gains: stable or not, the margins of each joint, and the dead
+    time in all joints at once at which it becomes unstable.
 
     Args:
         robot: its mass matrix gives the effective inertia.
         q: (n,) a pose; (m, n) poses; or a joint reference ``ref(t)`` with ``period`` or ``duration``: the largest inertia of each
-            joint along it.
+            joint along it, and the coupled loop at 41 times.
         bandwidth, natural_frequency, crossover, settling_time: exactly one, as for ``pid``; damping: 0.001 to 1000.
+        torque_lag, delay: [s] as in ``Hardware``: first-order lag and dead time of each torque, in the coupled loop only; 0: none.
 
     Returns gains of shape (n,) [N m/rad, N m/(rad s), N m s/rad; N and m for prismatic joints]. Raises ``BadArgument`` as ``pid``, and for a q of
-    another shape or a reference without an end. The loop of the design leaves out gravity, friction and coupling.
+    another shape or a reference without an end. Warns (``MfcWarning``) where the model seems to lack rotor inertia, as ``robots.lacks_armature``.
     """
-    inertia, smallest, where = _joint_inertia(robot, q)
+    where = motion(robot, q)
+    inertia = where.largest
     asked = _one_of(bandwidth, natural_frequency, crossover, settling_time)
     made = _design("pid", asked, damping, inertia)
-    notes = [f"inertia {where}: {np.array2string(inertia, precision=5, separator=', ')} kg m^2 (kg for prismatic joints), armature included"]
-    if np.any(smallest < inertia * (1 - 1e-9)):
-        loops = zip(*(np.asarray(made[name]) for name in ("kd", "kp", "ki")), smallest, strict=True)
+    notes = [f"inertia {where.where}: {np.array2string(inertia, precision=5, separator=', ')} kg m^2 (kg for prismatic joints), armature included"]
+    if np.any(where.smallest < inertia * (1 - 1e-9)):
+        loops = zip(*(np.asarray(made[name]) for name in ("kd", "kp", "ki")), where.smallest, strict=True)
         light = [loop_metrics([kd, kp, ki], [lightest, 0, 0, 0], settle=False) for kd, kp, ki, lightest in loops]
         notes.append(f"where a joint is lightest its bandwidth is up to {max(f.bandwidth for f in light):.4g} rad/s")
-    return Gains(made.gains, made.units, made.formula, made.definition, f"{made.loop}, I = M_jj(q) {where}", made.achieved, tuple(notes))
+    warn_without_armature(robot, where.q)
+    coupled = coupled_loop(robot, made, where, torque_lag, delay)
+    return replace(made, loop=f"{made.loop}, I = M_jj(q) {where.where}", notes=tuple(notes), coupled=coupled)
 
 
 def force_pi(
@@ -325,44 +338,3 @@ def _pair(kind: str, per: Mapping[str, float]) -> tuple[float, float]:
         return w, (per["kd"] / w - 1) / 2
     square, linear = (per["ki"], per["kp"]) if kind == "pi" else (per["kp"], per["kd"])
     return math.sqrt(square), linear / (2 * math.sqrt(square))
-
-
-def _joint_inertia(robot: Robot, q: Any) -> tuple[Array, Array, str]:
-    """Largest and smallest M_jj, (n,) each, and the location in words."""
-
-    def diagonal(poses: Array) -> Array:
-        return np.array(np.diagonal(np.asarray(robot.mass(poses)), axis1=-2, axis2=-1))
-
-    if callable(q):
-        if getattr(q, "space", "joint") != "joint":
-            raise BadArgument("q", q, "a joint reference; follow a tool reference with trajectories.from_tool_path first")
-        end = getattr(q, "period", None) or getattr(q, "duration", None)
-        end = 0.0 if end is None and getattr(q, "is_hold", False) else end
-        if end is None:
-            raise BadArgument("q", q, "a pose, or a joint reference with a period or a duration")
-        grid = np.linspace(0.0, float(end), 401) if end else np.zeros(1)
-        asked: Callable[[Any], Any] = q
-        along = diagonal(np.asarray(asked(grid)[0]))
-        return _refined(lambda t: diagonal(np.asarray(asked(t)[0])), grid, along), along.min(axis=0), "at its largest along the trajectory"
-    poses = checks.array("q", q, takes=f"a pose of shape ({robot.n},), poses of shape (m, {robot.n}), or a joint reference")
-    if poses.ndim not in (1, 2) or poses.shape[-1] != robot.n or poses.size == 0:
-        raise BadArgument("q", f"shape {poses.shape}", f"a pose of shape ({robot.n},), poses of shape (m, {robot.n}), or a joint reference")
-    along = diagonal(np.atleast_2d(poses))
-    return along.max(axis=0), along.min(axis=0), "at this pose" if poses.ndim == 1 else "at its largest over the poses"
-
-
-def _refined(inertia: Callable[[float], Array], grid: Array, along: Array) -> Array:
-    """The maxima along the trajectory, searched between the neighbours of the largest samples."""
-    from scipy.optimize import minimize_scalar
-
-    worst = along.max(axis=0)
-    for j, k in enumerate(along.argmax(axis=0)):
-        left, right = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
-        if right > left and along[:, j].max() > along[:, j].min():
-            near: Any = minimize_scalar(partial(_minus, inertia, j), bounds=(left, right), method="bounded", options={"xatol": 1e-9 * (right - left)})
-            worst[j] = max(worst[j], -near.fun)
-    return np.asarray(worst)
-
-
-def _minus(inertia: Callable[[float], Array], j: int, t: float) -> float:
-    return -float(inertia(t)[j])

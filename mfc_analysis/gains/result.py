@@ -6,12 +6,15 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from mfc_analysis.maths.arrays import Array
+
+if TYPE_CHECKING:
+    from mfc_analysis.gains.joints import CoupledLoop
 
 Value = float | Array
 
@@ -51,6 +54,7 @@ class Gains(Mapping[str, Any]):  # Any: ** must fit every parameter of a law, th
     loop: str  #: the loop of the design
     achieved: Achieved | None  #: metrics of that loop; None where the loop is a matrix
     notes: tuple[str, ...] = field(default=())  #: remarks, a sentence each
+    coupled: CoupledLoop | None = None  #: of independent joints: the loop of the arm with all joints closed
 
     def __getitem__(self, name: str) -> Any:
         return self.gains[name]
@@ -98,7 +102,9 @@ class Gains(Mapping[str, Any]):  # Any: ** must fit every parameter of a law, th
         shown = {name: np.array2string(np.asarray(value), precision=6, separator=", ").rstrip(".") for name, value in self.gains.items()}
         lines = [f"{name} = {text} [{self.units[name]}]" for name, text in shown.items()]
         lines += [f"formula:  {self.formula}", f"asked:    {self.definition}", f"loop:     {self.loop}"]
-        if self.achieved is not None:
+        if self.coupled is not None:
+            lines += [f"alone:    {self.achieved}", f"coupled:  {self.coupled}"]
+        elif self.achieved is not None:
             lines.append(f"achieved: {self.achieved}")
         return "\n".join([*lines, *(f"note:     {note}" for note in self.notes)])
 

@@ -246,7 +246,7 @@ class Parts:
         known = tuple(signature(helper).parameters)
         for key in asked:
             if key not in known:
-                raise UnknownName(f"gains.{key}", key, [name for name in known if name not in ("robot", "q")])
+                raise UnknownName(f"gains.{key}", key, [name for name in known if name in type(table).model_fields])
         if table.helper == "joint_pid":
             return dict(helper(self.model, self.reference if self.reference.space == "joint" else self._start("q_start"), **asked))
         return dict(helper(**asked))

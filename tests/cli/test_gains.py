@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -25,11 +27,20 @@ def test_gains_prints_what_the_helper_returns():
     assert run("gains", "cartesian-damping", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--stiffness", 1000).exit_code == 0
 
 
+def test_joint_gains_are_judged_on_the_coupled_arm_with_its_dead_time():
+    asked = ("gains", "joint-pid", "--robot", "panda", "--q", "-2.2,0.6,0.9,-1.2,-0.7,2.5,2.5", "--bandwidth-hz", 4)
+    done = run(*asked, "--delay", 4e-3)
+    assert done.exit_code == 0 and "UNSTABLE with the loops of all joints closed (dead time 4 ms)" in done.stdout
+    assert done.stderr.count("warning: panda: the URDF lacks rotor inertia; give armature") == 1
+    assert "stable with the loops of all joints closed (lag 1 ms)" in run(*asked, "--torque-lag", 1e-3).stdout
+
+
 def test_gains_take_the_robot_and_the_pose_of_a_study(tmp_path):
     study = tmp_path / "one.toml"
     assert run("init", "single_joint", "--out", study).exit_code == 0
     of_study = run("gains", "joint_pid", "--bandwidth-hz", 4, "--robot", study)
-    of_robot = run("gains", "joint-pid", "--bandwidth-hz", 4, "--robot", "single_joint")
+    (start,) = tomllib.loads(study.read_text())["q_start"]
+    of_robot = run("gains", "joint-pid", "--bandwidth-hz", 4, "--robot", "single_joint", "--q", start)
     assert of_study.exit_code == 0 and of_study.stdout == of_robot.stdout
     refused = run("gains", "joint-pid", "--bandwidth-hz", 4, "--robot", study, "--tool", "tool")
     assert refused.exit_code == 2 and "--tool" in refused.stderr

@@ -11,6 +11,7 @@ from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.arms import decibels
 from mfc_analysis.report.document.document import Block, Cell, Column, Figure, Math, Number, Table, written
 from mfc_analysis.report.loops.view import View
+from mfc_analysis.robots.coupling import relative_gain
 
 
 def price(view: View) -> str:
@@ -57,14 +58,14 @@ def coupling_numbers(view: View) -> dict[str, object]:
         "decentralised_poles": alone.poles()[view.worst.row],
         "decentralised_phase_deg": alone.margins().phase_deg.min(axis=0),
         "coupled_phase_deg": view.margins.phase_deg.min(axis=0),
-        "relative_gain": relative_gain(view).max(axis=0),
+        "relative_gain": _gain_along(view).max(axis=0),
     }
 
 
 def coupling_table(view: View) -> Table:
     """Each joint's smallest margins along the path, in the decentralised design and in the coupled arm."""
     alone, m = view.lin.decentralised().margins(), view.margins
-    gain = relative_gain(view)
+    gain = _gain_along(view)
     rows: list[tuple[Cell, ...]] = []
     for j, name in enumerate(m.channels):
         with np.errstate(divide="ignore"):
@@ -95,16 +96,14 @@ def coupling_table(view: View) -> Table:
     )
 
 
-def relative_gain(view: View) -> Array:
-    """(m, n) M_jj (M^-1)_jj of the plant along the path: 1 for a decoupled joint; the factor by which its inertia drops if the others are free."""
-    q = view.loop.nominal(view.times).q
-    M = view.loop.robot.mass(q)
-    return np.asarray(np.diagonal(M, axis1=1, axis2=2) * np.diagonal(np.linalg.inv(M), axis1=1, axis2=2))
+def _gain_along(view: View) -> Array:
+    """(m, n) relative gain of the plant along the path."""
+    return relative_gain(view.loop.robot, view.loop.nominal(view.times).q)
 
 
 def coupling_figures(view: View) -> tuple[Block, ...]:
     """The coupling of M(q) along the path, and phase margins alone and coupled."""
-    gain, names = relative_gain(view), view.margins.channels
+    gain, names = _gain_along(view), view.margins.channels
     alone = view.lin.decentralised().margins()
     i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
     said = f"largest {written(float(gain[i, j]))} ({names[j]}, t = {written(float(view.times[i]), exact=True)} s)"
