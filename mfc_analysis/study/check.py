@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from mfc_analysis.robots.coupling import lacks_armature
 from mfc_analysis.study.limits import limits
 
 if TYPE_CHECKING:
@@ -96,8 +97,10 @@ def _check(one: StudyLoop, progress: Progress) -> LoopCheck:
             if line.name not in worst or line.severity > worst[line.name][0].severity:
                 worst[line.name] = (line, case_said)
     lines = sorted(worst.values(), key=lambda pair: pair[0].severity, reverse=True)
-    notes = tuple(dict.fromkeys(note for _, verdict in found for note in verdict.notes))
-    return LoopCheck(one, tuple(lines), tuple(found), notes)
+    notes = dict.fromkeys(note for _, verdict in found for note in verdict.notes)
+    if one.loop.law.plant == "torque" and (lacking := lacks_armature(one.loop.robot, one.loop.nominal(one.times).q)):
+        notes[lacking] = None
+    return LoopCheck(one, tuple(lines), tuple(found), tuple(notes))
 
 
 def as_json(checks: Sequence[LoopCheck]) -> str:

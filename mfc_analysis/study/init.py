@@ -15,6 +15,7 @@ import numpy as np
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.catalogue import robot_named
+from mfc_analysis.robots.coupling import lacks_armature
 
 if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
@@ -58,6 +59,7 @@ tool = {tool}  # the frame of tool references and payloads
 {locked}
 # gravity = [0, 0, -9.81]                  # in base axes
 # friction = "none"                        # drop the URDF's joint damping; or {{viscous = 0.5, coulomb = 1.0}}
+{armature}
 # payload = {{mass = 2.0, com = [0, 0, 0.05], inertia = 0.01}}
 
 {model}
@@ -120,6 +122,7 @@ def study_for(robot: Robot, source: str, file: str, locked: Sequence[str] = ()) 
         q_start=_list(q0),
         source=source,
         locked=_locked(locked),
+        armature=_armature(robot, q0, q1),
         model=MODEL_WITHOUT_FRICTION if friction_rules(robot, q0, q1) else MODEL,
         bandwidth=BANDWIDTH,
         tool=json.dumps(robot.tool, ensure_ascii=True),
@@ -204,6 +207,13 @@ def _arm(urdf: str, tool: str | None, locked: Sequence[str]) -> Robot:
         if why.argument == "tool" and tool is None:
             raise BadArgument("--tool", None, f"{why.takes}; the joints that do not move it are locked") from why
         raise
+
+
+def _armature(robot: Robot, q0: Array, q1: Array) -> str:
+    """The key for the rotor inertia, after what the model lacks along the path."""
+    key = "# armature = 0.3                           # rotor inertia times gear ratio squared, one number or one for each joint [kg m^2, kg]"
+    lacking = lacks_armature(robot, np.linspace(q0, q1, 21))
+    return f"# {_comment(lacking)}.\n{key}" if lacking else key
 
 
 def _locked(names: Sequence[str]) -> str:

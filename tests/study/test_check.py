@@ -75,6 +75,18 @@ def test_json_has_words_for_what_is_no_number(tmp_path):
     assert lost["phase_deg"] == "undefined" and unstable[0]["status"] == "FAIL"
 
 
+def test_an_arm_without_rotor_inertia_is_a_note_that_changes_no_verdict(tmp_path):
+    text = (
+        "q_start = [0, 0, 0, 0, 0, 0, 0]\n[robot]\nload = 'xarm7'\nfriction = 'none'\n[law]\nequation = '9.10'\nkp = 100\nkd = 20\n"
+        "[reference]\nkind = 'Hold'\n[requirements]\nphase_deg = 30\n"
+    )
+    (one,) = check(study(tmp_path, text))
+    (geared,) = check(study(tmp_path, text.replace("friction", "armature = 0.3\nfriction", 1)))
+    assert [note for note in one.notes if "lacks rotor inertia; give armature: M_jj (M^-1)_jj of joint 'joint" in note]
+    assert not any("rotor" in note for note in geared.notes) and one.status == geared.status == "PASS"
+    assert any(line.startswith("note: xarm7: the URDF lacks") for line in one.sentences())
+
+
 def test_progress_counts_every_case_of_every_loop(tmp_path):
     seen = []
     checked(tmp_path, more="[ranges]\ndelay = [0.0, 0.01, 0.02]\n", progress=lambda what, done, of: seen.append((done, of)))

@@ -67,6 +67,18 @@ def test_a_tool_that_is_not_plain_is_asked_for_with_what_it_could_be(tmp_path):
     assert why.value.argument == "--tool" and "'finger1', 'finger2'" in why.value.takes and not (tmp_path / "s.toml").exists()
 
 
+def test_an_arm_without_rotor_inertia_has_that_beside_the_key_for_it(tmp_path):
+    text = write("panda", tmp_path / "panda.toml").read_text()
+    lines = text.splitlines()
+    at = next(i for i, line in enumerate(lines) if "the URDF lacks rotor inertia; give armature" in line)
+    assert lines[at].startswith("# panda: ") and "panda_joint" in lines[at] and lines[at + 1].startswith("# armature = 0.3")
+    given = tmp_path / "given.toml"
+    given.write_text(text.replace("# armature = 0.3", "armature = 0.3"))
+    assert read(given).loops[0].loop.robot.armature.tolist() == [0.3] * 7
+    plain = write("rp", tmp_path / "rp.toml").read_text()
+    assert "# armature = 0.3" in plain and "lacks" not in plain
+
+
 def test_a_file_that_is_there_is_kept_unless_it_may_be_overwritten(tmp_path):
     (tmp_path / "s.toml").write_text("mine")
     with pytest.raises(BadArgument) as why:
