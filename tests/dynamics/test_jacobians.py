@@ -72,6 +72,15 @@ def test_the_jacobian_is_that_of_the_equations(name: str, case: Case) -> None:
             assert abs(found.order - 2.0) <= 0.05
 
 
+@pytest.mark.parametrize("which", [1, 2])
+@pytest.mark.parametrize("name", ["panda", "xarm7"])
+@pytest.mark.parametrize("case", named("9.16 standard", "9.16 null", "9.16 damped", "9.16 damped inertia", "9.16 null euclidean"), ids=str)
+def test_the_jacobian_of_both_inverses_of_a_redundant_arm_is_exact_at_other_poses(case: Case, name: str, which: int) -> None:
+    found = misfit(loop_of(case, name, contact=True, which=which), seed(case.name, name, which))
+    assert found.error < 1e-7
+    assert abs(found.order - 2.0) <= 0.05
+
+
 @pytest.mark.parametrize("hardware", [
     Hardware(torque_lag=5e-3, velocity_filter=[2e-3, 3e-3, 2e-3, 2e-3, 1e-3, 1e-3]),
     Hardware(joint_stiffness=2e3, motor_inertia=0.3, feedback="link"),
