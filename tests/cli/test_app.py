@@ -230,12 +230,14 @@ def test_the_version_is_said():
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGTERM ends a Windows process at once")
 def test_a_command_that_is_asked_to_end_takes_its_processes_with_it():
-    code = """import os, signal, time; import mfc_analysis.cli.app as cli; from joblib import Parallel, delayed
-def work():
-    for number in Parallel(n_jobs=2, return_as="generator")(delayed(os.getpid)() for _ in range(4)):
+    code = """import os, signal, time; import mfc_analysis.cli.app as cli
+from mfc_analysis.plots.batch import in_two_processes; from tests.plots.test_batch import where
+def work(**_):
+    for k, number in enumerate(in_two_processes([where] * 30)):
         print(number, flush=True)
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(60)
+        if k == 20:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(60)
 cli.app = work
 cli.main()"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=50)

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
+import time
+import warnings
+from functools import partial
+from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
 
 from mfc_analysis import plots
-from mfc_analysis.plots import figure as sheet
-from mfc_analysis.plots.batch import MANY, drawn
+from mfc_analysis.errors import MfcWarning
+from mfc_analysis.plots import batch, figure as sheet
+from mfc_analysis.plots.batch import MANY, drawn, in_two_processes
 from tests.plots import kinds
 
 KINDS = kinds.every_kind()
+ROOT = Path(__file__).resolve().parents[2]
+two_cores = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) < 2, reason="one core")
 
 
 def test_two_processes_draw_what_one_draws_and_in_order():
@@ -67,8 +75,104 @@ def test_what_goes_wrong_in_a_recipe_is_raised_here():
             drawn([KINDS["disk"]] * count + [wrong])
 
 
-def test_a_few_figures_start_no_process():
-    code = f"""import sys; from tests.plots import kinds; from mfc_analysis.plots.batch import drawn
-drawn([kinds.every_kind()['disk']] * {MANY}); print('joblib' in sys.modules)"""
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "False"
+def test_a_few_figures_start_no_process(monkeypatch):
+    monkeypatch.setattr(batch, "Popen", None)
+    assert len(drawn([KINDS["disk"]] * MANY)) == MANY
+
+
+# --- the second process ------------------------------------------------------------------------------------------------------
+
+
+def where(seconds: float = 0.2) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def square(x: float) -> float:
+    warnings.warn(f"squared {x}", MfcWarning, stacklevel=1)
+    return x * x
+
+
+def dies(x: int) -> int:
+    if parent_process() != os.getpid():
+        os._exit(3)
+    return x
+
+
+def parent_process() -> int:
+    return int(os.environ["MFC_TEST_PARENT"])
+
+
+@two_cores
+def test_a_second_process_takes_its_share_and_is_gone_afterwards():
+    numbers = set(in_two_processes([where] * 30))
+    assert os.getpid() in numbers and len(numbers) == 2
+    assert all(gone(number) for number in numbers - {os.getpid()})
+
+
+def test_results_come_in_order_and_warnings_with_them():
+    with pytest.warns(MfcWarning) as said:
+        assert list(in_two_processes([partial(square, k) for k in range(20)])) == [k * k for k in range(20)]
+    assert sorted(str(one.message) for one in said) == sorted(f"squared {k}" for k in range(20))
+
+
+@two_cores
+def test_tasks_are_done_here_where_the_second_process_is_lost(monkeypatch):
+    monkeypatch.setenv("MFC_TEST_PARENT", str(os.getpid()))
+    assert list(in_two_processes([where, *(partial(dies, k) for k in range(10))]))[1:] == list(range(10))
+
+
+@pytest.mark.parametrize("broken", [{"Popen": OSError}, {"sys.executable": ""}], ids=str)
+def test_tasks_are_done_here_where_no_process_can_be_started(monkeypatch, broken):
+    def refuses(*_, **__):
+        raise OSError("no more processes")
+
+    if "Popen" in broken:
+        monkeypatch.setattr(batch, "Popen", refuses)
+    else:
+        monkeypatch.setattr(sys, "executable", "")
+    assert set(in_two_processes([partial(where, 0.0)] * 3)) == {os.getpid()}
+
+
+def test_an_unfinished_run_leaves_no_process():
+    found = in_two_processes([where] * 20)
+    next(found)
+    found.close()
+    assert not any("(others)" in thread.name for thread in threading.enumerate())
+
+
+ASKS = """import os, sys; from mfc_analysis.plots.batch import in_two_processes; from tests.plots.test_batch import where
+for number in in_two_processes([where] * 30 + [__import__("functools").partial(where, 100)] * 2):
+    print(number, flush=True)
+"""
+
+
+@two_cores
+def test_no_module_of_the_current_folder_is_run(tmp_path):
+    for name in ("matplotlib", "numpy", "pickle", "mfc_analysis"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    code = ASKS.replace(' + [__import__("functools").partial(where, 100)] * 2', "")
+    run = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert run.returncode == 0 and len(set(run.stdout.split())) == 2, run.stderr
+    assert not (tmp_path / "ran").exists()
+
+
+@two_cores
+@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL")
+def test_the_second_process_ends_soon_after_the_first_was_killed():
+    run = subprocess.Popen([sys.executable, "-c", ASKS], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert run.stdout is not None
+    numbers = {int(run.stdout.readline()) for _ in range(30)}
+    second = (numbers - {run.pid}).pop()
+    assert not gone(second)
+    run.kill()
+    run.communicate()
+    assert any(gone(second) or time.sleep(0.1) for _ in range(50))
+
+
+def gone(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return True
+    return "Z" in Path(f"/proc/{number}/stat").read_text().split() if Path("/proc/self/stat").exists() else False
