@@ -1,11 +1,10 @@
 """The command line: ``mfc-analysis``. Each command imports what it needs when it runs, so that ``--help`` is fast.
 
-Exit codes: 0 success or requirements met, 1 a requirement is not met, 2 bad input (one sentence on standard error, never a traceback).
+Exit codes: 0 success or requirements met, 1 a requirement is not met, 2 anything else (one sentence on standard error, never a traceback).
 """
 
 from __future__ import annotations
 
-from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,15 +26,23 @@ StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="A study file (
 
 
 def main() -> None:
-    """Runs the command line. Asked to end (SIGTERM) it leaves as after Ctrl-C, and takes its processes with it."""
+    """Runs the command line. Asked to end (SIGTERM) it leaves as after Ctrl-C, and takes its processes with it.
+
+    Raises SystemExit with the exit code of the command: 0 met, 1 not met, 2 anything else, 128 + n after signal n.
+    """
     import signal
     import sys
 
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # characters that the console lacks are replaced, without a traceback
-    app()
+    terminal.open_streams()
+    code: Any = terminal.BAD_INPUT
+    try:
+        app()
+    except SystemExit as done:
+        code = done.code
+    except Exception as why:  # Python would end with 1, which says "not met"
+        terminal.complain(f"error: {terminal.fault(why)}")
+    sys.exit(code if terminal.flushed() else terminal.BAD_INPUT)
 
 
 def _version(wanted: bool) -> None:

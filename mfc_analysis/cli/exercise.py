@@ -99,8 +99,9 @@ def on_a_terminal() -> bool:
 
 def _graph(number: str, runs: list[JointRun], out: Path) -> Path:
     from mfc_analysis import exercises, plots
+    from mfc_analysis.maths import files
 
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"exercise-{number.replace('.', '-')}.svg"
-    path.write_text(plots.svg(lambda: exercises.graph(runs)), encoding="utf-8")
+    files.write(path, plots.svg(lambda: exercises.graph(runs)).encode("utf-8"))
     return path

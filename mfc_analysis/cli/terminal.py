@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import wraps
+from io import BufferedWriter, FileIO, TextIOWrapper
+from pathlib import Path
+from signal import SIGINT
+from traceback import extract_tb
 from typing import TYPE_CHECKING, Any
 
 from mfc_analysis.errors import MfcError, MfcWarning
@@ -28,6 +34,51 @@ def console(stderr: bool = False) -> Console:
 
     stream = sys.stderr if stderr else sys.stdout
     return Console(stderr=stderr, markup=False, highlight=False, emoji=False, soft_wrap=True, width=None if stream.isatty() else 200)
+
+
+class _Output(FileIO):
+    """A standard stream whose reader may leave: what is written afterwards is dropped."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as why:
+            if why.errno not in (errno.EPIPE, errno.EINVAL, errno.EBADF):
+                raise
+            return len(data)
+
+
+def open_streams() -> None:
+    """Standard streams that take everything: a closed one is replaced by the null device, characters that the console lacks by "?"."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        stream = getattr(sys, name)
+        if stream is None:
+            with suppress(OSError):
+                os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # takes the number of the closed stream, which no file must have
+            setattr(sys, name, open(os.devnull, "w" if number else "r", encoding="utf-8"))  # noqa: SIM115  open until the end
+        elif number and isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
+            if stream is getattr(sys, f"__{name}__") and not stream.isatty():
+                output = BufferedWriter(_Output(number, "wb", closefd=False))
+                setattr(sys, name, TextIOWrapper(output, stream.encoding, "replace", line_buffering=name == "stderr"))
+
+
+def flushed() -> bool:
+    """Writes out what was said. False, with a sentence, where it cannot be written, as on a full disk."""
+    try:
+        sys.stdout.flush()
+    except OSError as why:
+        complain(f"error: standard output: {why.strerror or why}")
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python flushes again when it ends
+        return False
+    return True
+
+
+def fault(why: Exception) -> str:
+    """An error of this package that no input should cause, as a sentence with its place."""
+    here = [frame for frame in extract_tb(why.__traceback__) if "mfc_analysis" in frame.filename]
+    place = f" ({Path(here[-1].filename).name}, line {here[-1].lineno})" if here else ""
+    return f"internal error{place}: {type(why).__name__}: {' '.join(str(why).split())[:300]}; please report it with this command and its files"
 
 
 def say(*lines: object) -> None:
@@ -92,7 +143,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def run(*args: Any, **options: Any) -> None:
-        from typer import Exit
+        from typer import Abort, Exit
 
         said: set[str] = set()
 
@@ -110,11 +161,15 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
             except MfcError as why:
                 complain(f"error: {why}")
                 raise Exit(BAD_INPUT) from None
-            except BrokenPipeError:  # the reader closed the pipe
-                sys.stdout = None  # nothing is left to flush into
-                raise Exit(MET) from None
             except OSError as why:
-                complain(f"error: {why.filename or 'file'}: {why.strerror or why}")
+                complain(f"error: {why.filename or 'output'}: {why.strerror or why}")
                 raise Exit(BAD_INPUT) from None
+            except MemoryError:
+                complain("error: there is not enough memory for this input")
+                raise Exit(BAD_INPUT) from None
+            except Abort:  # no answer to a question
+                raise Exit(BAD_INPUT) from None
+            except KeyboardInterrupt:
+                raise Exit(128 + SIGINT) from None
 
     return run

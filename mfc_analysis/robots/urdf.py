@@ -8,10 +8,12 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from pathlib import Path
 from xml.etree import ElementTree
 
 from mfc_analysis.errors import BadArgument, BadRobot
+from mfc_analysis.maths import checks, files
+
+LARGEST = 20_000_000  #: bytes of a URDF file
 
 _KEPT = ("link", "joint")
 _PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics"), "fixed": ("origin", "parent", "child")}
@@ -33,19 +35,15 @@ def read_urdf(source: str | os.PathLike[str]) -> str:
     """
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
         return source
-    if not isinstance(source, (str, os.PathLike)):
-        raise BadArgument("source", source, "the path of a URDF file, or its XML text")
+    takes = "the path of a URDF file, or its XML text"
     try:
-        path = Path(source).expanduser()
-        if not path.is_file():
-            raise BadArgument("source", str(source), "the path of an existing URDF file, or its XML text")
-        return path.read_bytes().decode("utf-8-sig")
+        content = files.read(checks.path("source", source, takes).expanduser(), LARGEST)
+    except (OSError, RuntimeError) as why:  # RuntimeError: a home folder that does not exist
+        raise BadArgument("source", str(source), f"{takes} ({getattr(why, 'strerror', None) or why})") from why
+    try:
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as why:
         raise BadRobot(f"{source} is not a URDF: it is not text") from why
-    except (OSError, ValueError, RuntimeError) as why:
-        if isinstance(why, BadArgument):
-            raise
-        raise BadArgument("source", str(source), "the path of a URDF file that can be read, or its XML text") from why
 
 
 def checked_urdf(text: str) -> tuple[str, tuple[str, ...]]:

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths import files
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.catalogue import robot_named
 from mfc_analysis.robots.coupling import lacks_armature
@@ -144,8 +145,9 @@ def first_path(robot: Robot) -> tuple[Array, Array, float]:
     limits = robot.limits
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     bounded = np.isfinite(lower) & np.isfinite(upper)
-    middle = np.where(bounded, 0.5 * (lower + upper), np.clip(0.0, lower, upper))
-    room = np.where(bounded, 0.5 * (upper - lower), np.inf)
+    low, high = np.where(bounded, lower, 0.0), np.where(bounded, upper, 0.0)
+    middle = np.where(bounded, low + 0.5 * (high - low), np.clip(0.0, lower, upper))
+    room = np.where(bounded, 0.5 * (high - low), np.inf)
     half = np.minimum(0.5 * STRIDE, 0.4 * room)
     q0, q1 = np.round(middle - half, 4), np.round(middle + half, 4)
     one_sided = np.isfinite(lower) ^ np.isfinite(upper)
@@ -177,7 +179,7 @@ def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None
     else:
         source = f"name = {json.dumps(name)}"
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(study_for(robot, source, target.name, locked), encoding="utf-8")
+    files.write(target, study_for(robot, source, target.name, locked).encode("utf-8"))
     return target
 
 

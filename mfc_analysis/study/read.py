@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
+from mfc_analysis.maths import checks, files
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.study.errors import StudyError
 from mfc_analysis.study.messages import explained, has
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from mfc_analysis.study.parts import Parts
 
 
+LARGEST = 4_000_000  #: bytes of a study file
+DEEPEST = 20  #: tables and lists within one another
 MOST_CASES = 1000  #: most combinations of ranges in a study
 
 
@@ -104,16 +107,19 @@ def read(path: str | os.PathLike[str]) -> Study:
     Raises StudyError (a ``ValueError``): not a file, not TOML, an unknown key (names the nearest), a value of the wrong type,
     files, joints or gains that do not fit together.
     """
-    file = Path(path)
+    file = checks.path("path", path, "the path of a study file")
     try:
-        content = file.read_bytes()
+        content = files.read(file, LARGEST)
         raw = tomllib.loads(content.decode("utf-8-sig"))
     except OSError as why:
         raise StudyError(str(path), "", f"cannot be read ({why.strerror or type(why).__name__})") from why
     except UnicodeDecodeError as why:
         raise StudyError(str(path), "", "is not UTF-8 text") from why
-    except tomllib.TOMLDecodeError as why:
+    except RecursionError as why:
+        raise StudyError(str(path), "", "has lists or tables nested too deeply") from why
+    except ValueError as why:  # also a whole number of thousands of digits
         raise StudyError(str(path), "", f"is not TOML: {why}") from why
+    _check_depth(str(path), raw)
     tables = raw.pop("loop", [])
     if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
         raise StudyError(str(path), "loop", "must be [[loop]] tables")
@@ -143,6 +149,14 @@ def overridden(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str,
         anew = isinstance(value, dict) and any(word in value for word in DECIDING.get(key, ()))
         out[key] = overridden(old, value) if isinstance(old, dict) and isinstance(value, dict) and not anew else value
     return out
+
+
+def _check_depth(file: str, raw: dict[str, Any]) -> None:
+    inner: list[Any] = [raw]
+    for _ in range(DEEPEST):
+        inner = [x for one in inner for x in (one.values() if isinstance(one, dict) else one) if isinstance(x, (dict, list))]
+    if inner:
+        raise StudyError(file, "", "has lists or tables nested too deeply")
 
 
 def _check_cases(file: str, table: LoopTable) -> None:

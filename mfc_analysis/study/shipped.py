@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.maths import files
 
 _HERE = Path(__file__).resolve().parent
 
@@ -48,6 +49,6 @@ def copied(target: str | os.PathLike[str]) -> tuple[Path, ...]:
         copy = to / file.name
         if copy.exists():
             raise BadArgument("--copy", str(copy), "a folder that has no file of this name")
-        copy.write_bytes(file.read_bytes())
+        files.write(copy, file.read_bytes())
         out.append(copy)
     return tuple(out)

@@ -6,10 +6,10 @@ import io
 import warnings
 
 import pytest
-from typer import Exit
+from typer import Abort, Exit
 
 from mfc_analysis.cli import terminal
-from mfc_analysis.cli.terminal import BAD_INPUT, MET, guarded, plain
+from mfc_analysis.cli.terminal import BAD_INPUT, guarded, plain
 from mfc_analysis.errors import BadArgument, MfcWarning
 from tests.cli.commands import run, small
 
@@ -96,9 +96,9 @@ def test_a_file_that_cannot_be_used_is_named(capsys):
     assert capsys.readouterr().err == "error: out/page.html: Permission denied\n"
 
 
-def test_a_reader_that_has_seen_enough_is_no_failure(monkeypatch):
-    monkeypatch.setattr("sys.stdout", io.StringIO())
-    assert ends(BrokenPipeError()) == MET
+@pytest.mark.parametrize(("error", "code"), [(MemoryError(), BAD_INPUT), (Abort(), BAD_INPUT), (KeyboardInterrupt(), 130)])
+def test_what_is_no_verdict_never_ends_with_1(error, code):
+    assert ends(error) == code
 
 
 def test_an_error_of_our_own_is_not_hidden():

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths import checks, files
 from mfc_analysis.report.document.document import Document
 
 if TYPE_CHECKING:
     from mfc_analysis.report.document.scrubber import Moving
 
 Progress = Callable[[int, int], None]
+LATEST = 2**33  #: [s since 1970] latest date of a PDF
 FORMATS = ("html", "pdf", "json")
 
 
@@ -34,11 +36,9 @@ def render(
     from mfc_analysis.report.document.tree import slug
 
     if isinstance(formats, str):
-        formats = tuple(formats.replace(",", " ").split())
-    for kind in formats:
-        if kind not in FORMATS:
-            raise BadArgument("formats", kind, "some of " + ", ".join(map(repr, FORMATS)))
-    target = Path(folder)
+        formats = formats.replace(",", " ").split()
+    formats = checks.names("formats", formats, FORMATS)
+    target = checks.path("folder", folder, "a folder to write into")
     if target.exists() and not target.is_dir():
         raise BadArgument("folder", str(folder), "a folder to write into")
     pages = rendered(document, formats, timestamp=timestamp, progress=progress)
@@ -47,7 +47,7 @@ def render(
     out = {}
     for kind, content in pages.items():
         out[kind] = target / f"{name}.{kind}"
-        out[kind].write_bytes(content)
+        files.write(out[kind], content)
     return out
 
 
@@ -56,6 +56,7 @@ def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp:
     from mfc_analysis.report.document.tree import tree
     from mfc_analysis.report.render.numbers import numbers, to_json
 
+    timestamp = checks.whole("timestamp", timestamp, 0, LATEST)
     flat = tree(document)
     version = package_version()
     drawings: dict[str, str] = {}
