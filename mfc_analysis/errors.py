@@ -35,6 +35,7 @@ __all__ = [
 ]
 
 MOST_NAMES = 40  #: names that a message lists; a whole humanoid has hundreds of frames
+LONGEST_NAME = 200  #: characters of a name that is compared with the known ones
 
 
 def __dir__() -> list[str]:
@@ -63,7 +64,7 @@ class BadArgument(MfcError, ValueError):
 
     def __init__(self, argument: str, got: Any, takes: str) -> None:
         self.argument, self.got, self.takes = argument, got, takes
-        super().__init__(f"{argument}: got {_short(got)}; takes {takes}")
+        super().__init__(f"{argument}: got {short(got)}; takes {takes}")
 
 
 class UnknownName(BadArgument):
@@ -71,7 +72,7 @@ class UnknownName(BadArgument):
 
     def __init__(self, argument: str, got: Any, known: Iterable[str]) -> None:
         self.known = tuple(known)
-        near = get_close_matches(str(got), self.known, n=MOST_NAMES)
+        near = get_close_matches(got, self.known, n=MOST_NAMES) if isinstance(got, str) and len(got) < LONGEST_NAME else []
         hint = f" (did you mean {near[0]!r}?)" if near else ""
         listed, others = self.known, 0
         if len(self.known) > MOST_NAMES:
@@ -84,7 +85,7 @@ class UnknownName(BadArgument):
 class UnknownPoint(BadArgument):
     """The loop cannot be opened at this analysis point."""
 
-    def __init__(self, at: str, law: str, known: Sequence[str]) -> None:
+    def __init__(self, at: object, law: str, known: Sequence[str]) -> None:
         self.at, self.law, self.known = at, law, tuple(known)
         super().__init__("at", at, f"for {law} one of {', '.join(map(repr, known))}")
 
@@ -134,7 +135,11 @@ class NearPi(MfcError, ValueError):
         return NearPi(self.angle, time if self.time is None else self.time, self.index)
 
 
-def _short(value: Any) -> str:
-    text = value if isinstance(value, str) and value.startswith("shape (") else repr(value)
+def short(value: Any, most: int = 120) -> str:
+    """A value on one line of at most ``most`` characters; the name of its type where Python cannot write it."""
+    try:
+        text = value if isinstance(value, str) and value.startswith("shape (") else repr(value)
+    except (RecursionError, ValueError):  # lists in thousands of lists; whole numbers of thousands of digits
+        text = f"one of type {type(value).__name__} that is too deep or too long to show"
     text = " ".join(text.split())
-    return text if len(text) <= 120 else text[:117] + "..."
+    return text if len(text) <= most else text[: most - 3] + "..."

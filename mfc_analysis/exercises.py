@@ -28,18 +28,25 @@ if TYPE_CHECKING:
 
 
 QUINTIC_TOP_SPEED = 1.875  #: top speed of a quintic over its mean speed
+SLOWEST, FASTEST = 1e-2, 1e6  #: [deg/s] target velocities
+LONGEST = 1e4  #: [s] of a run
 SETTLED = 0.02  #: settling band, a fraction of the motion
 GRAVITY = 9.81  #: [m/s^2]
 
 
 @dataclass(frozen=True)
 class Link:
-    """The joint of equation 9.6: I th'' + m g r cos th + b th' = tau."""
+    """The joint of equation 9.6: I th'' + m g r cos th + b th' = tau. Raises BadArgument for a number that is negative or not finite."""
 
     inertia: float = 0.5  #: I [kg m^2]
     mass: float = 1.0  #: m [kg]
     com_distance: float = 0.1  #: r [m]
     damping: float = 0.1  #: b [N m s/rad]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "inertia", checks.number("inertia", self.inertia, low=0.0, strict=True))
+        for name in ("mass", "com_distance", "damping"):
+            object.__setattr__(self, name, checks.number(name, getattr(self, name), low=0.0))
 
     def __str__(self) -> str:
         return (
@@ -123,8 +130,9 @@ def pid(
     """
     from mfc_analysis.laws import JointPID
 
-    link = link or Link()
-    law = JointPID(checks.number("kp", kp), _or_none("ki", ki), checks.number("kd", kd))
+    link = Link() if link is None else checks.instance("link", link, Link, "a Link")
+    kp, ki, kd = (checks.number(name, given) for name, given in (("kp", kp), ("ki", ki), ("kd", kd)))
+    law = JointPID(kp, ki or None, kd)
     slope = link.mass * GRAVITY * link.com_distance
 
     def advice(at: float) -> str:
@@ -146,16 +154,14 @@ def pid_with_inverse_dynamics(
     """
     from mfc_analysis.laws import ComputedTorque
 
-    law = ComputedTorque(checks.number("kp", kp), _or_none("ki", ki), checks.number("kd", kd))
+    link = Link() if link is None else checks.instance("link", link, Link, "a Link")
+    kp, ki, kd = (checks.number(name, given) for name, given in (("kp", kp), ("ki", ki), ("kd", kd)))
+    law = ComputedTorque(kp, ki or None, kd)
 
     def advice(at: float) -> str:
         return routh_advice(1.0, kd, kp, ki, kp, kd, "")
 
-    return _run("PID + inverse dynamics", law, target_deg, velocity_deg, link or Link(), duration, advice)
-
-
-def _or_none(name: str, ki: float) -> float | None:
-    return checks.number(name, ki) or None
+    return _run("PID + inverse dynamics", law, target_deg, velocity_deg, link, duration, advice)
 
 
 def _run(name: str, law: Any, target_deg: float, velocity_deg: float, link: Link, duration: float, advice: Callable[[float], str]) -> JointRun:
@@ -164,11 +170,13 @@ def _run(name: str, law: Any, target_deg: float, velocity_deg: float, link: Link
     from mfc_analysis.robots import single_joint
     from mfc_analysis.trajectories import Hold, Quintic
 
-    target = math.radians(checks.number("target", target_deg))
+    target = math.radians(checks.number("target_deg", target_deg))
     if target == 0:
-        raise BadArgument("target", target_deg, "an angle other than 0 deg, where the link starts")
-    speed = math.radians(checks.number("velocity", velocity_deg, low=0.0))
-    duration = checks.number("duration", duration, low=0.0, strict=True)
+        raise BadArgument("target_deg", target_deg, "an angle other than 0 deg, where the link starts")
+    speed = math.radians(checks.number("velocity_deg", velocity_deg, low=0.0, high=FASTEST))
+    if 0 < velocity_deg < SLOWEST:
+        raise BadArgument("velocity_deg", velocity_deg, f"0 for a step, or {SLOWEST:g} to {FASTEST:g} deg/s")
+    duration = checks.number("duration", duration, low=0.0, high=LONGEST, strict=True)
     robot = single_joint(link.inertia, link.mass, link.com_distance, link.damping)
     moving = QUINTIC_TOP_SPEED * abs(target) / speed if speed else 0.0
     loop = ClosedLoop(robot, law, Quintic([0.0], [target], moving) if speed else Hold([target]))
@@ -255,11 +263,10 @@ def compare(
             these gains, so that without gravity and friction both loops have the same poles.
         target_deg, velocity_deg, duration: as in ``pid_with_inverse_dynamics``.
     """
-    link = link or Link()
-    plain = pid_gains or (link.inertia * kp, link.inertia * ki, link.inertia * kd)
-    return Comparison(
-        pid(target_deg, *plain, velocity_deg, link, duration), pid_with_inverse_dynamics(target_deg, kp, ki, kd, velocity_deg, link, duration)
-    )
+    link = Link() if link is None else checks.instance("link", link, Link, "a Link")
+    inverse = pid_with_inverse_dynamics(target_deg, kp, ki, kd, velocity_deg, link, duration)
+    plain = link.inertia * np.array([kp, ki, kd]) if pid_gains is None else checks.array("pid_gains", pid_gains, (3,))
+    return Comparison(pid(target_deg, float(plain[0]), float(plain[1]), float(plain[2]), velocity_deg, link, duration), inverse)
 
 
 def graph(runs: Sequence[JointRun]) -> tuple[Axes, ...]:
@@ -319,7 +326,7 @@ def rp_torques(theta_deg: float = 45.0, d: float = 1.0, force: Sequence[float] =
     """
     from mfc_analysis.robots import rp
 
-    theta, d = math.radians(checks.number("theta", theta_deg)), checks.number("d", d)
+    theta, d = math.radians(checks.number("theta_deg", theta_deg)), checks.number("d", d)
     F = checks.array("force", force, (2,))
     torques = rp().joint_torques([theta, d], [F[0], F[1], 0, 0, 0, 0], frame="world")
     s, c = math.sin(theta), math.cos(theta)

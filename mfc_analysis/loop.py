@@ -210,15 +210,14 @@ class ClosedLoop:
         A run that diverges stops, keeps its results up to then and reports the time (``diverged``, ``outcome``).
         """
         from mfc_analysis.dynamics.start_state import start_state
-        from mfc_analysis.simulation.simulation import simulate
+        from mfc_analysis.simulation.simulation import asked_times, simulate
 
+        asked = asked_times(times)
         if x is None:
-            given = checks.at_least_1d("times", times)
-            first = 0.0 if np.ndim(times) == 0 else float(checks.times(given)[0])
-            x0 = start_state(self.equations, first, initial_error, q, v, integral, force_integral, actuator)
+            x0 = start_state(self.equations, float(asked[0]), initial_error, q, v, integral, force_integral, actuator)
         else:
             x0 = checks.array("x", x, (self.equations.nx,))
-        return simulate(self.equations, times, x0, disturbance, rtol=rtol, atol=atol, method=method)
+        return simulate(self.equations, asked, x0, disturbance, rtol=rtol, atol=atol, method=method)
 
     def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
         """Compares linear prediction and nonlinear simulation over ``time`` [s], from the operating point disturbed by ``size`` [rad, m]."""

@@ -126,8 +126,7 @@ def assert_validated(loop: ClosedLoop, time: float = 1.0, *, nrmse: float = 0.05
     """
     __tracebackhide__ = True
     nrmse, order = checks.number("nrmse", nrmse, low=0.0), checks.number("order", order, low=0.0)
-    if not isinstance(loop, ClosedLoop):
-        raise BadArgument("loop", loop, "a ClosedLoop")
+    checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     found = loop.validate(time, size, seed)
     lines = [
         _compared("nrmse", "misfit of the linear model", nrmse, found.nrmse, nrmse - found.nrmse, found.nrmse <= nrmse, "≤"),

@@ -161,7 +161,7 @@ def singular_values(system: OpenSystem, at: str | Sequence[str], frequencies: Ar
 
 
 def _frequencies(given: ArrayLike, dt: float) -> Array:
-    out = checks.array("frequencies", np.atleast_1d(np.asarray(given)), (None,), "positive, increasing frequencies [rad/s]")
+    out = checks.vector("frequencies", given, "positive, increasing frequencies [rad/s]")
     if out.size == 0 or out[0] <= 0 or np.any(np.diff(out) <= 0):
         raise BadArgument("frequencies", given, "positive, increasing frequencies [rad/s]")
     if dt and out[-1] > np.pi / dt * (1 + 1e-12):

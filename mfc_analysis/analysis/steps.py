@@ -100,7 +100,7 @@ METRICS = ("rise", "settling", "overshoot", "undershoot", "peak", "peak_time")
 
 
 def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
-    if isinstance(name, (int, np.integer)) and not isinstance(name, bool):
+    if isinstance(name, (int, np.integer)) and not isinstance(name, (bool, np.timedelta64)):
         if not 0 <= name < len(known):
             raise UnknownName(argument, name, [*known, *map(str, range(len(known)))])
         return int(name)

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.stability import growth
-from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.dynamics.hardware import LONGEST, SHORTEST, Hardware
 from mfc_analysis.errors import BadArgument, Unsupported
+from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools
-
-if TYPE_CHECKING:
-    from mfc_analysis.loop import ClosedLoop
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +34,15 @@ def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0) -> Array:
     """(d,) [1/s] largest real part of the exact roots that are not at zero, for each dead time of the actuators in place of the given one.
 
     Args:
-        loop: a continuous loop. delays: (d,) [s] > 0. time: [s] on the reference.
+        loop: a continuous loop. delays: (d,) [s], 1e-9 to 1e9. time: [s] on the reference.
 
-    The dead time of the force sensor is kept. Raises BadArgument for dead times that are not positive, Unsupported for a sampled loop.
+    The dead time of the force sensor is kept. Raises BadArgument for other dead times, Unsupported for a sampled loop.
     """
-    T = checks.array("delays", np.atleast_1d(np.asarray(delays)), (None,), "dead times > 0 [s]")
-    if np.any(T <= 0):
-        raise BadArgument("delays", delays, "dead times > 0 [s]")
+    checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
+    takes = f"dead times from {SHORTEST:g} to {LONGEST:g} s"
+    T = checks.vector("delays", delays, takes)
+    if np.any(T < SHORTEST) or np.any(T > LONGEST):
+        raise BadArgument("delays", delays, takes)
     hardware = loop.hardware or Hardware()
     if hardware.sample_time is not None:
         raise Unsupported("hardware.sample_time", hardware.sample_time, "a continuous loop: the poles of a sampled loop include its dead time")
@@ -66,6 +65,7 @@ def delay_map(make_loop: Callable[[float], ClosedLoop], delays: ArrayLike, value
 
     Raises as ``over_delay``.
     """
-    at = checks.array("values", values, (None,))
-    T = checks.array("delays", delays, (None,), "dead times > 0 [s]")
+    at, T = checks.vector("values", values), checks.vector("delays", delays)
+    if at.size == 0:
+        raise BadArgument("values", values, "at least one value")
     return DelayMap(T, at, np.stack([over_delay(make_loop(float(v)), T) for v in at]))

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.design.searches import Bracket, Limit, Outcome, first_loss, scan, shown
 from mfc_analysis.design.worst_case import WorstCase, worst_case
-from mfc_analysis.dynamics.environment import stiffened
-from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.dynamics.environment import STIFFEST, stiffened
+from mfc_analysis.dynamics.hardware import LONGEST, SHORTEST, Hardware
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
@@ -27,6 +27,7 @@ from mfc_analysis.requirements.requirements import Requirements
 
 __all__ = ["Limit", "Outcome", "WorstCase", "max_bandwidth", "max_delay", "max_payload", "max_stiffness", "min_sample_rate", "worst_case"]
 
+HEAVIEST = 1e9  #: [kg] largest payload searched for
 MOVING_TIMES = 21  #: times checked along a moving reference
 
 
@@ -37,10 +38,10 @@ def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | No
     translational entry has the value, and keeps the damping. The force at the reference does not change: the preload compensates
     penetration times the change of stiffness. The scan starts at 1e-8 ``upper``; 0 if stable nowhere.
 
-    Raises BadArgument: a loop without an environment, ``upper`` not a positive number.
+    Raises BadArgument: a loop without an environment, ``upper`` not a positive number up to 1e15.
     """
-    _loop(loop)
-    upper = checks.number("upper", upper, low=0.0, strict=True)
+    checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
+    upper = checks.number("upper", upper, low=0.0, high=STIFFEST, strict=True)
     surfaces = loop.equations.surfaces
     if not surfaces:
         raise BadArgument("loop", str(loop), "a loop with an environment: ClosedLoop(..., environment=mfc.Environment(...))")
@@ -57,14 +58,14 @@ def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | No
 def max_delay(loop: ClosedLoop, upper: float = 10.0, *, times: ArrayLike | None = None, horizon: float = HORIZON, progress: bool = False) -> Limit:
     """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the given one) with which the loop is stable.
 
-    inf if stable up to ``upper`` [s]; 0 if it is not stable without dead time. Raises BadArgument.
+    inf if stable up to ``upper`` [s], 1e-9 to 1e9; 0 if it is not stable without dead time. Raises BadArgument.
     """
-    _loop(loop)
-    upper = checks.number("upper", upper, low=0.0, strict=True)
+    checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
+    upper = checks.number("upper", upper, low=SHORTEST, high=LONGEST)
     hardware = loop.hardware or Hardware()
 
     def later(delay: float) -> ClosedLoop:
-        return replace(loop, hardware=replace(hardware, delay=delay or None))
+        return replace(loop, hardware=replace(hardware, delay=delay if delay >= SHORTEST else None))
 
     return _limit(later, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), loop, times, horizon, "largest stable dead time", "s", progress)
 
@@ -81,10 +82,10 @@ def max_payload(
     """Largest payload [kg] at the tool, unknown to the controller, with which the loop is stable about its reference.
 
     The payload is a point mass at ``com`` (3,) [m] in tool axes, added to the payload of the plant; the controller's model does not
-    change. inf if stable up to ``upper`` [kg]; 0 if it is not stable without. Raises BadArgument.
+    change. inf if stable up to ``upper`` [kg], at most 1e9; 0 if it is not stable without. Raises BadArgument.
     """
-    _loop(loop)
-    upper = checks.number("upper", upper, low=0.0, strict=True)
+    checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
+    upper = checks.number("upper", upper, low=0.0, high=HEAVIEST, strict=True)
     com = checks.array("com", com, (3,))
     model = loop.equations.model
 
@@ -99,10 +100,11 @@ def min_sample_rate(
 ) -> Limit:
     """Smallest rate [1/s] of a sampled controller (``Hardware.sample_time``, zero-order hold) with which the loop is stable.
 
-    The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate. Raises BadArgument.
+    The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate; rates are 1e-9 to 1e9 1/s.
+    Raises BadArgument.
     """
-    _loop(loop)
-    lower, upper = checks.number("lower", lower, low=0.0, strict=True), checks.number("upper", upper, low=0.0, strict=True)
+    checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
+    lower, upper = (checks.number(name, rate, low=1 / LONGEST, high=1 / SHORTEST) for name, rate in (("lower", lower), ("upper", upper)))
     hardware = loop.hardware or Hardware()
 
     def sampled(period: float) -> ClosedLoop:
@@ -257,8 +259,3 @@ def _times(loop: ClosedLoop, times: ArrayLike | None) -> Array:
         return checks.times(times)
     span = loop.ref.duration or loop.ref.period or 0.0
     return np.zeros(1) if loop.ref.is_hold or not span else np.linspace(0.0, float(span), MOVING_TIMES)
-
-
-def _loop(loop: ClosedLoop) -> None:
-    if not isinstance(loop, ClosedLoop):
-        raise BadArgument("loop", loop, "a ClosedLoop")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 
 STEPS = 8  #: steps of the scan per decade
+WIDEST = 1e30  #: largest ratio of the ends of a scan
 CLOSE = 1e-7  #: relative width at which bisection ends
 
 Tick = Callable[[float], None]
@@ -90,8 +91,8 @@ class Limit(float):
 
 def scan(lower: float, upper: float, steps: int = STEPS) -> Array:
     """Values from ``lower`` to ``upper``, equally spaced on a logarithmic scale, ``steps`` per decade. Raises BadArgument."""
-    if not 0 < lower < upper < np.inf:
-        raise BadArgument("upper", upper, f"a finite number above {lower:g}")
+    if not 0 < lower < upper < np.inf or upper > WIDEST * lower:
+        raise BadArgument("upper", upper, f"a finite number above {lower:g}, and at most {WIDEST:g} times as large")
     return np.geomspace(lower, upper, max(2, int(np.ceil(steps * np.log10(upper / lower))) + 1))
 
 

@@ -18,14 +18,14 @@ from numpy.typing import ArrayLike
 from mfc_analysis.analysis.spectrum import poles as poles_of
 from mfc_analysis.analysis.stability import Stability, growth, stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
-from mfc_analysis.dynamics.environment import stiffened
+from mfc_analysis.dynamics.environment import STIFFEST, stiffened
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
-    from mfc_analysis.loop import ClosedLoop
 
 
 _APART = (1e3, 2e3)  #: [N/m] the two stiffnesses that are linearised: of a typical order, so that rounding stays small
@@ -75,9 +75,11 @@ def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0) ->
     Raises:
         BadArgument: no surface with a preload, or stiffnesses that are not positive.
     """
-    k = checks.array("stiffness", np.atleast_1d(np.asarray(stiffness)), (None,), "stiffnesses > 0 [N/m]")
-    if np.any(k <= 0):
-        raise BadArgument("stiffness", stiffness, "stiffnesses > 0 [N/m]")
+    checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
+    takes = f"stiffnesses > 0, up to {STIFFEST:g} N/m"
+    k = checks.vector("stiffness", stiffness, takes)
+    if np.any(k <= 0) or np.any(k > STIFFEST):
+        raise BadArgument("stiffness", stiffness, takes)
     return _line(loop, time)(k)
 
 
@@ -142,8 +144,9 @@ def stiffness_map(make_loop: Callable[[float], ClosedLoop], stiffness: ArrayLike
 
     Raises as ``over_stiffness``.
     """
-    at = checks.array("values", values, (None,))
-    k = checks.array("stiffness", stiffness, (None,), "stiffnesses > 0 [N/m]")
+    at, k = checks.vector("values", values), checks.vector("stiffness", stiffness)
+    if at.size == 0:
+        raise BadArgument("values", values, "at least one value")
     return StabilityMap(k, at, np.stack([over_stiffness(make_loop(float(v)), k).growth for v in at]))
 
 
@@ -154,7 +157,7 @@ def stable_up_to(loop: ClosedLoop, upper: float = 1e6, lower: float = 1.0) -> fl
     of them; a narrower window of instability can be missed. As ``design.max_stiffness``, in a tenth of its time.
     Raises as ``over_stiffness``.
     """
-    low, high = checks.number("lower", lower, low=0.0, strict=True), checks.number("upper", upper, low=0.0, strict=True)
+    low, high = (checks.number(name, x, low=0.0, high=STIFFEST, strict=True) for name, x in (("lower", lower), ("upper", upper)))
     swept, grid = _line(loop, 0.0), np.geomspace(low, high, 20)
     stable = swept(grid).stable
     if not stable[0]:

@@ -22,6 +22,7 @@ from mfc_analysis.requirements.requirements import KINDS
 
 Case = dict[str, float]
 
+MOST_POINTS = 1000  #: grid values of one range
 SHRINKS = 12  #: halvings of the step in the local search
 WIDE = 100.0  #: ratio of the ends of a range from which it is spaced logarithmically
 
@@ -90,12 +91,13 @@ def worst_case(
     """
     if isinstance(metric, str) and metric not in METRICS:
         raise UnknownName("metric", metric, METRICS)
+    if not isinstance(metric, str) and not callable(metric):
+        raise BadArgument("metric", metric, f"one of {', '.join(METRICS)}, or a function of the loop")
     if not callable(build):
         raise BadArgument("build", build, "a function of the parameters that returns a ClosedLoop")
     if not isinstance(ranges, Mapping) or not ranges:
         raise BadArgument("ranges", ranges, "at least one name with its range, such as {'payload': (0, 5)}")
-    if isinstance(points, bool) or not isinstance(points, int) or points < 2:
-        raise BadArgument("points", points, "a whole number >= 2")
+    points = checks.whole("points", points, 2, MOST_POINTS)
     t = checks.times(times)
     axes = {name: _axis(name, given, points) for name, given in ranges.items()}
     search = _Search(build, t, metric, at, horizon)

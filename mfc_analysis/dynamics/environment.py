@@ -21,6 +21,7 @@ from mfc_analysis.maths.dual import Dual, Vector, concatenate, matvec, times, va
 from mfc_analysis.maths.se3 import Pose, hat, log3, log_rate, pose_matrix
 from mfc_analysis.robots.primitives import Primitives
 
+STIFFEST = 1e15  #: [N/m, Nm/rad] largest stiffness of a search
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 

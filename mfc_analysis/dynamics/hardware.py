@@ -12,6 +12,8 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 
+SHORTEST, LONGEST = 1e-9, 1e9  #: [s] of a lag, a dead time, a filter or a sample time that is on
+SMALLEST, LARGEST = 1e-12, 1e15  #: of a stiffness, a damping, an inertia or a torque limit that is on, in its unit
 MOST_SAMPLES = 2000  #: largest dead time of a sampled loop, in samples
 
 
@@ -28,7 +30,8 @@ class Hardware:
     B theta'' + K (theta - q) + D (theta' - q') = tau. ``feedback`` selects the encoder position.
 
     Raises:
-        BadArgument: a field is negative, not finite, or of another shape than a scalar or (n,).
+        BadArgument: a field is negative, not finite, of another shape than a scalar or (n,), or too small or too large to mean anything:
+            times that are on are 1e-9 to 1e9 s, other fields 1e-12 to 1e15.
     """
 
     torque_lag: float | Array | None = None  #: [s] time constant of the torque loop, scalar or (n,)
@@ -113,14 +116,16 @@ class JointHardware:
     springs: Springs | None
 
 
+TIMES = ("torque_lag", "velocity_lag", "delay", "force_delay", "sample_time", "force_filter", "velocity_filter")  #: [s]
 SCALARS = ("delay", "force_delay", "sample_time", "force_filter")  #: the same for all joints
 
 
 def _positive_or_none(name: str, given: ArrayLike) -> Any:
     alone = name in SCALARS
-    takes = f"{'one number' if alone else 'a scalar or (n,) array'}, positive; None or 0 turns it off"
+    low, high, unit = (SHORTEST, LONGEST, " s") if name in TIMES else (SMALLEST, LARGEST, "")
+    takes = f"{'one number' if alone else 'a scalar or (n,) array'}, {low:g} to {high:g}{unit}; None or 0 turns it off"
     out = checks.array(f"hardware.{name}", given)
-    if out.ndim > (0 if alone else 1) or np.any(out < 0) or (out.ndim == 1 and np.any(out == 0) and np.any(out > 0)):
+    if out.ndim > (0 if alone else 1) or (out.any() and (np.any(out < low) or np.any(out > high))):
         raise BadArgument(f"hardware.{name}", given, takes)
     if not out.any():
         return None

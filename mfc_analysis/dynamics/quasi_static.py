@@ -12,10 +12,12 @@ from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires
 from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
 from mfc_analysis.dynamics.operating_point import at_rest, nominal
-from mfc_analysis.errors import Unsupported
+from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Complex
 from mfc_analysis.maths.dual import Dual, Vector, value
+
+LOWEST, HIGHEST = 1e-12, 1e12  #: [rad/s] at which 9.20 is compared with 9.19
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +35,10 @@ class QuasiStatic:
 
         0: the quasi-static model is exact; 1: its error is as large as the force. Needs an environment.
         """
-        w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies > 0 [rad/s]")
+        takes = f"frequencies from {LOWEST:g} to {HIGHEST:g} rad/s"
+        w = checks.vector("frequencies", frequencies, takes)
+        if np.any(w < LOWEST) or np.any(w > HIGHEST):
+            raise BadArgument("frequencies", frequencies, takes)
         if not self.equations.surfaces or self.x is None:
             raise Unsupported("frequencies", frequencies, "a loop with an environment: without one the tool is held rigidly")
         opened = open_system(self.equations, np.zeros(1), self.x)

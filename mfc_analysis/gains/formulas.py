@@ -243,7 +243,7 @@ def cartesian_damping(robot: Robot, q: ArrayLike, stiffness: ArrayLike, ratio: A
     if K.shape != (6, 6) or np.abs(K - K.T).max() > 1e-9 * np.abs(K).max() or np.linalg.eigvalsh(K)[0] <= 0:
         raise BadArgument("stiffness", stiffness, takes)
     zeta = checks.per_joint("ratio", ratio, 6, low=0.0)
-    Lambda = np.asarray(robot.task_inertia(checks.array("q", q, (robot.n,))))
+    Lambda = np.asarray(_robot(robot).task_inertia(checks.array("q", q, (robot.n,))))
     w2, V = eigh(K, Lambda)  # V^T Lambda V = I, V^T K V = diag(w2): Q = V^-T = Lambda V
     Q = Lambda @ V
     D = 2.0 * (Q * (zeta * np.sqrt(w2))) @ Q.T

@@ -224,9 +224,13 @@ def state_space(argument: str, system: Any) -> tuple[Array, Array, Array, Array]
 
     takes = "a proper, continuous python-control LTI system (StateSpace or TransferFunction), or dict(kp=, ki=, kd=)"
     if isinstance(system, tuple) and len(system) == 4:
-        system = control.ss(*system)
-    if isinstance(system, (int, float)) and not isinstance(system, bool):
-        system = control.ss([], [], [], [[float(system)]])
+        A, B, C, D = (checks.array(argument, M) for M in system)
+        try:
+            system = control.ss(A, B, C, D)
+        except (ValueError, TypeError) as why:
+            raise BadArgument(argument, f"shapes {', '.join(str(M.shape) for M in (A, B, C, D))}", "A, B, C, D that fit together") from why
+    if isinstance(system, (int, float)):
+        system = control.ss([], [], [], [[checks.number(argument, system)]])
     if not isinstance(system, (control.StateSpace, control.TransferFunction)):
         raise BadArgument(argument, system, takes)
     if system.dt not in (None, 0):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws import constraints
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
@@ -33,7 +33,7 @@ def leak(rows: ArrayLike | constraints.ConstraintSet, Lambda: ArrayLike, project
     A = constraints.checked_rows(rows, "rows")
     if np.abs(A @ A.T - np.eye(len(A))).max(initial=0.0) > 1e-9:
         raise BadArgument("rows", rows, "orthonormal rows")
-    inertia = np.asarray(Lambda, float)
+    inertia = checks.array("Lambda", Lambda)
     P = constraints.projection(A, inertia) if projection == "dynamic" else constraints.selection(A)
     out = np.linalg.solve(inertia, P @ inertia @ A.T)
     return np.asarray(out - A.T @ (A @ out))
@@ -63,7 +63,9 @@ def coupling(lin: Linearization, inputs: tuple[str, ...], outputs: tuple[str, ..
 
     Raises UnknownName, and BadArgument for frequencies that are not a list of numbers or a sampled loop.
     """
-    w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,))
+    w = checks.vector("frequencies", frequencies)
+    if w.size == 0:
+        raise BadArgument("frequencies", frequencies, "at least one frequency [rad/s]")
     if lin.dt:
         raise BadArgument("lin", f"a sampled loop, dt = {lin.dt:g} s", "a continuous one")
     columns, lines = _places("inputs", inputs, lin.input_names), _places("outputs", outputs, lin.output_names)
@@ -78,7 +80,4 @@ def _gain(A: Array, B: Array, C: Array, D: Array, w: float, eye: Array) -> Array
 
 
 def _places(argument: str, names: Any, known: tuple[str, ...]) -> list[int]:
-    for name in names:
-        if name not in known:
-            raise UnknownName(argument, name, known)
-    return [known.index(name) for name in names]
+    return [known.index(name) for name in checks.names(argument, names, known)]

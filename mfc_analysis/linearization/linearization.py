@@ -241,7 +241,7 @@ class Linearization:
         """(m, n, nf) loop transfer functions L_i(j w) at w [rad/s], each opened alone; dead time included. Raises UnknownPoint."""
         from mfc_analysis.analysis.frequency.response import frequency_response
 
-        w = checks.array("frequencies", np.atleast_1d(np.asarray(frequencies)), (None,), "finite frequencies >= 0 [rad/s]")
+        w = checks.vector("frequencies", frequencies, "finite frequencies >= 0 [rad/s]")
         if np.any(w < 0):
             raise BadArgument("frequencies", frequencies, "finite frequencies >= 0 [rad/s]")
         at = self._at(at)
@@ -265,14 +265,12 @@ class Linearization:
 
     def _at(self, at: object) -> str:
         if at is not None and not isinstance(at, str):
-            raise UnknownPoint(repr(at), type(self.equations.law).__name__, self.equations.law.opens_at)
+            raise UnknownPoint(at, type(self.equations.law).__name__, self.equations.law.opens_at)
         return self.equations.actuator if at is None else at
 
     def _index(self, index: int) -> int:
         m = len(self.times)
-        if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not -m <= index < m:
-            raise BadArgument("index", index, f"an integer from 0 to {m - 1}: which of the {m} times")
-        return int(index) % m
+        return checks.whole("index", index, -m, m - 1, f"an integer from 0 to {m - 1}: which of the {m} times") % m
 
     @staticmethod
     def _channel(channel: int | str | None, names: tuple[str, ...]) -> int:
@@ -282,9 +280,7 @@ class Linearization:
             if channel not in names:
                 raise UnknownName("channel", channel, names)
             return names.index(channel)
-        if isinstance(channel, bool) or not isinstance(channel, (int, np.integer)) or not 0 <= channel < len(names):
-            raise BadArgument("channel", channel, f"an integer from 0 to {len(names) - 1} or one of {', '.join(names)}")
-        return int(channel)
+        return checks.whole("channel", channel, 0, len(names) - 1, f"an integer from 0 to {len(names) - 1} or one of {', '.join(names)}")
 
     def __len__(self) -> int:
         return len(self.times)

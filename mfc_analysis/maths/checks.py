@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
+import os
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
-from mfc_analysis.errors import BadArgument
+from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.maths.arrays import Array
+
+Kind = TypeVar("Kind")
+
+#: kinds of Python and numpy objects that numpy would read as real numbers
+_NOT_REAL = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.datetime64, np.timedelta64)
 
 
 def array(argument: str, value: Any, shape: tuple[int | None, ...] | None = None, takes: str | None = None) -> Array:
     """A finite float array of the given shape (None: any length on that axis), copied and read-only."""
     said = takes or ("finite numbers" if shape is None else f"finite numbers of shape {_shape(shape)}")
-    try:
-        if np.asarray(value).dtype.kind in "USmM":  # numpy would read the text "3" as a number
-            raise TypeError
-        out = np.array(value, dtype=float)
-    except (TypeError, ValueError) as why:
-        raise BadArgument(argument, value, said) from why
+    out = _real(argument, value, said)
     if shape is not None and (out.ndim != len(shape) or any(s is not None and s != d for s, d in zip(shape, out.shape, strict=True))):
         raise BadArgument(argument, f"shape {out.shape}", said)
     if not np.isfinite(out).all():
@@ -27,33 +30,79 @@ def array(argument: str, value: Any, shape: tuple[int | None, ...] | None = None
     return out
 
 
-def at_least_1d(argument: str, value: Any) -> Any:
-    """A single number as a list of one; other values unchanged. Raises BadArgument for ragged sequences."""
-    try:
-        return [value] if np.ndim(value) == 0 else value
-    except ValueError as why:
-        raise BadArgument(argument, value, "numbers in a regular array") from why
+def vector(argument: str, value: Any, takes: str = "finite numbers of shape (any,)") -> Array:
+    """A finite 1-D float array, read-only; a single number becomes one entry."""
+    out = array(argument, value, takes=takes)
+    if out.ndim > 1:
+        raise BadArgument(argument, f"shape {out.shape}", takes)
+    return out.reshape(-1)
 
 
 def number(argument: str, value: Any, *, low: float = -np.inf, high: float = np.inf, strict: bool = False, allow_inf: bool = False) -> float:
     """A finite float in [low, high] (``strict``: low is excluded)."""
     bounds = f"a number {'>' if strict else '>='} {low:g}" if high == np.inf and low > -np.inf else f"a number in [{low:g}, {high:g}]"
     said = "a finite number" if low == -np.inf and high == np.inf else bounds
-    try:
-        if isinstance(value, (str, bytes, bool, complex)):
-            raise TypeError
-        out = float(value)
-    except (TypeError, ValueError) as why:
-        raise BadArgument(argument, value, said) from why
+    given = _real(argument, value, said)
+    if given.ndim:
+        raise BadArgument(argument, value, said)
+    out = float(given)
     ok = (np.isfinite(out) or (allow_inf and out == np.inf)) and out <= high and (out > low if strict else out >= low)
     if not ok:
         raise BadArgument(argument, value, said)
     return out
 
 
+def whole(argument: str, value: Any, low: int, high: int, takes: str | None = None) -> int:
+    """An integer in [low, high]; a boolean or a float is none."""
+    if isinstance(value, _NOT_REAL) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
+        raise BadArgument(argument, value, takes or f"a whole number from {low} to {high}")
+    return int(value)
+
+
+def names(argument: str, value: Any, known: Collection[str]) -> tuple[str, ...]:
+    """Several of the known names, in a list, a tuple or a set."""
+    if not isinstance(value, (list, tuple, set, frozenset)):
+        raise BadArgument(argument, value, f"a list of names among {', '.join(map(repr, known)) or 'none'}")
+    for name in value:
+        if not isinstance(name, str) or name not in known:
+            raise UnknownName(argument, name, known)
+    return tuple(value)
+
+
+def instance(argument: str, value: Any, kind: type[Kind], takes: str) -> Kind:
+    """The value itself, if it is of this class."""
+    if not isinstance(value, kind):
+        raise BadArgument(argument, value, takes)
+    return value
+
+
+def path(argument: str, value: Any, takes: str = "a path") -> Path:
+    """The path of a file or folder, given as text or as an object with ``__fspath__``."""
+    if not isinstance(value, (str, os.PathLike)) or not isinstance(given := os.fspath(value), str) or "\0" in given:
+        raise BadArgument(argument, value, takes)
+    return Path(given)
+
+
+def _real(argument: str, value: Any, said: str) -> Array:
+    """A new float array of real numbers, finite or not. Raises BadArgument: not numbers, or a list with rows of different lengths."""
+    try:
+        given = np.asarray(value)
+    except ValueError as why:
+        raise BadArgument(argument, value, f"{said}, in rows of equal length") from why
+    try:
+        if given.dtype.kind not in "iufO":
+            raise TypeError
+        hidden = given.dtype.kind == "O" or not isinstance(value, (np.ndarray, float, int))  # numpy would read [1.0, True] as numbers
+        if hidden and any(isinstance(one, _NOT_REAL) for one in np.asarray(value, dtype=object).flat):
+            raise TypeError
+        return np.array(given, dtype=float)
+    except (TypeError, ValueError, OverflowError) as why:  # OverflowError: an integer beyond the largest float
+        raise BadArgument(argument, value, said) from why
+
+
 def times(value: Any, argument: str = "times") -> Array:
     """A strictly increasing 1-D array of at least one time [s]; a single number becomes one time."""
-    out = array(argument, at_least_1d(argument, value), (None,), "finite, strictly increasing times [s]")
+    out = vector(argument, value, "finite, strictly increasing times [s]")
     if out.size == 0 or np.any(np.diff(out) <= 0):
         raise BadArgument(argument, value, "finite, strictly increasing times [s], at least one")
     return out

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfc_analysis.errors import BadArgument, NearPi
+from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, chain, times, value
 
@@ -233,14 +234,8 @@ def pose_matrix(argument: str, X: object) -> Array:
     """Checks a 4x4 rigid transform: an array or an object with ``homogeneous`` (a Pinocchio SE3). Raises BadArgument."""
     takes = "a rigid transform: a 4x4 array (rotation, position, last row 0 0 0 1) or a Pinocchio SE3"
     raw = getattr(X, "homogeneous", X)
-    try:
-        out = np.array(raw, dtype=float)
-    except (TypeError, ValueError) as why:
-        raise BadArgument(argument, X, takes) from why
-    if out.shape != (4, 4) or not np.isfinite(out).all():
-        raise BadArgument(argument, f"shape {out.shape}" if out.shape != (4, 4) else X, takes)
+    out = checks.array(argument, raw, (4, 4), takes)
     R = out[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0 or np.abs(out[3] - [0, 0, 0, 1]).max() > 1e-12:
         raise BadArgument(argument, X, takes)
-    out.setflags(write=False)
     return out

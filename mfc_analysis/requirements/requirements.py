@@ -92,10 +92,9 @@ class Verdict:
 
     def line(self, name: str) -> Line:
         """The line of one requirement, by its field name. Raises UnknownName."""
-        for line in self.lines:
-            if line.name == name:
-                return line
-        raise UnknownName("name", name, [line.name for line in self.lines])
+        known = [line.name for line in self.lines]
+        (found,) = checks.names("name", [name], known)
+        return self.lines[known.index(found)]
 
     def __str__(self) -> str:
         m = len(self.times)
@@ -176,8 +175,7 @@ class Requirements:
 
         Raises BadArgument (not a loop, times), UnknownPoint for ``at``, NearSingular.
         """
-        if not isinstance(loop, ClosedLoop):
-            raise BadArgument("loop", loop, "a ClosedLoop")
+        checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
         evidence = Evidence(loop.equations, checks.times(times), at, self.horizon)
         lines = [_stable(evidence)]
         lines += [compared(name, limit, evidence.found(name)) for name, limit in self.asked().items()]

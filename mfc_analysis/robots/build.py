@@ -34,9 +34,7 @@ def lock(model: pin.Model, locked: Locked) -> pin.Model:
         return pin.Model(model)
     if isinstance(locked, str):
         locked = [locked]
-    if not isinstance(locked, (Mapping, Sequence, set, frozenset)):
-        raise BadArgument("locked", locked, "names of joints, or {name: value}")
-    values = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
+    values = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(checks.names("locked", locked, movable_joints(model)), 0.0)
     q = pin.neutral(model)
     ids = []
     for name, value in values.items():
@@ -147,11 +145,7 @@ def joint_order(model: pin.Model, joints: Sequence[str] | None) -> NDArray[np.in
     index = {name: model.joints[model.getJointId(name)].idx_v for name in names}
     if joints is None:
         joints = sorted(names, key=index.__getitem__)
-    elif isinstance(joints, str) or not isinstance(joints, Sequence):
-        raise BadArgument("joints", joints, "a sequence of joint names")
-    for name in joints:
-        if name not in index:
-            raise UnknownName("joints", name, names)
+    joints = checks.names("joints", joints, names)
     if len(set(joints)) != len(joints) or len(joints) != len(names):
         missing = [name for name in names if name not in joints]
         hint = f"; {missing!r} are missing: add them, or lock them with locked=" if missing else "; one is named twice"

@@ -21,6 +21,7 @@ from mfc_analysis.robots.robot import Robot
 from mfc_analysis.robots.urdf import moving_joints, read_urdf
 
 EARTH = 9.81  #: [m/s^2]
+SMALLEST, LARGEST = 1e-12, 1e12  #: SI, of the masses, inertias, lengths and friction of an embedded robot
 
 
 # --- embedded ------------------------------------------------------------------------------------------------------------
@@ -38,8 +39,9 @@ def single_joint(inertia: float = 0.5, mass: float = 1.0, com_distance: float = 
 
     Warns where inertia < mass com_distance^2, which is not physical (the equation still holds).
     """
-    inertia = checks.number("inertia", inertia, low=0.0, strict=True)
-    mass, r = checks.number("mass", mass, low=0.0), checks.number("com_distance", com_distance, low=0.0)
+    inertia = checks.number("inertia", inertia, low=SMALLEST, high=LARGEST)
+    mass, r = checks.number("mass", mass, low=0.0, high=LARGEST), checks.number("com_distance", com_distance, low=0.0, high=LARGEST)
+    damping = checks.number("damping", damping, low=0.0, high=LARGEST)
     about_com = inertia - mass * r * r
     if about_com < 0:
         text = f"inertia={inertia:g} kg m^2 about the axis is less than mass com_distance^2 = {mass * r * r:g}, which is not physical"
@@ -59,7 +61,7 @@ def slider(mass: float = 1.0, friction: float = 0.0) -> Robot:
     Args:
         mass: [kg] > 0. friction: [N s/m] viscous, >= 0.
     """
-    mass = checks.number("mass", mass, low=0.0, strict=True)
+    mass = checks.number("mass", mass, low=SMALLEST, high=LARGEST)
     model = _planar("slider", 0.0)
     _add(model, 0, "slide", pin.JointModelPZ(), (0, 0, 0), _flat(mass, (0, 0, 0), 0.0))
     _tool(model, (0, 0, 0))
@@ -259,7 +261,7 @@ def load(name: str, tool: str | None = None, locked: Locked = None) -> Robot:
     text = read_urdf(path)
     if locked is None and entry.moving is not None:
         locked = [joint for joint in moving_joints(text) if joint not in entry.moving]
-    robot = Robot.from_urdf(text, tool=tool or entry.tool, locked=locked)
+    robot = Robot.from_urdf(text, tool=entry.tool if tool is None else tool, locked=locked)
     return replace(robot, name=name)
 
 
@@ -275,7 +277,7 @@ def robot_named(name: str, tool: str | None = None) -> Robot:
 def _changed(robot: Robot, tool: str | None, locked: Locked) -> Robot:
     model = pin.Model(robot.model)
     model.damping = np.array(robot.viscous)  # embedded robots have Pinocchio's order
-    return Robot.from_pinocchio(model, tool=tool or robot.tool, locked=locked)
+    return Robot.from_pinocchio(model, tool=robot.tool if tool is None else tool, locked=locked)
 
 
 class MissingRobots(MfcError, ValueError):

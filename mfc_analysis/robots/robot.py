@@ -270,14 +270,14 @@ class Robot:
 
     def to_model(self, x: ArrayLike) -> Array:
         """(..., n) a vector from the user's joint order to Pinocchio's."""
-        x = np.asarray(x, float)
+        x = self._joints("x", x)
         out = np.empty_like(x)
         out[..., self.order] = x
         return out
 
     def from_model(self, x: ArrayLike) -> Array:
         """(..., n) a vector from Pinocchio's joint order to the user's."""
-        return cast(Array, np.asarray(x, float)[..., self.order])
+        return self._joints("x", x)[..., self.order]
 
     # --- dynamics --------------------------------------------------------------------------------------------------------
 
@@ -417,6 +417,8 @@ class Robot:
         return out
 
     def _check_regular(self, J: Array) -> None:
+        if not J.size:
+            return
         if self.n < 6:
             raise NearSingular(self.tool, 0.0, np.inf)
         found = nearest_singular(self.tool, np.asarray(np.linalg.svd(J, compute_uv=False), float))

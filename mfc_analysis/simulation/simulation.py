@@ -61,13 +61,14 @@ class Simulation:
 
     def state(self, t: ArrayLike) -> Array:
         """(m, nx) state at times [s] within the run, from the solver's dense output. Raises BadArgument outside."""
-        times = np.atleast_1d(np.asarray(t, float))
-        if np.any(times < self.t[0] - 1e-12) or np.any(times > self.t[-1] + 1e-12):
+        times = checks.vector("times", t)
+        if times.size == 0 or np.any(times < self.t[0] - 1e-12) or np.any(times > self.t[-1] + 1e-12):
             raise BadArgument("times", t, f"times within the run, {self.t[0]:g} to {self.t[-1]:g} s")
         return np.stack([self.path.at(float(ti)) for ti in times])
 
     def operating_point(self, times: Array) -> OperatingPoint:
         """The run as operating points at times (m,) [s], to linearise along. Raises BadArgument outside the run."""
+        times = checks.times(times)
         return OperatingPoint(times, self.state(times), np.zeros((len(times), self.q.shape[1])))
 
     def __str__(self) -> str:
@@ -96,7 +97,7 @@ def simulate(
     method: str = "LSODA",
 ) -> Simulation:
     """Implements ``ClosedLoop.simulate`` from the state ``x0`` (nx,). Raises BadArgument for bad input, and any error of the law at the start."""
-    asked = _asked_times(times)
+    asked = asked_times(times)
     checks.choice("method", method, METHODS)
     options = {"rtol": checks.number("rtol", rtol, low=1e-14), "atol": checks.number("atol", atol, low=1e-16), "method": method}
     e = equations
@@ -173,11 +174,11 @@ def _signals(run: Run, t: Array, x: Array) -> tuple[Array, Array, Flow]:
             t, x = t[:-1], x[:-1]
 
 
-def _asked_times(times: float | ArrayLike) -> Array:
-    given = checks.at_least_1d("times", times)
+def asked_times(times: float | ArrayLike) -> Array:
+    """(k,) [s] of a run: those given, or 501 from 0 to a single duration. Raises BadArgument."""
+    asked = checks.times(times)
     if np.ndim(times) == 0:
         return np.linspace(0.0, checks.number("times", times, low=SHORTEST), 501)
-    asked = checks.times(given)
     if asked.size > 1 and asked[-1] - asked[0] < SHORTEST:
         raise BadArgument("times", times, f"times that span {SHORTEST:g} s or more, or a single one")
     return asked

@@ -14,7 +14,7 @@ import numpy as np
 from mfc_analysis.analysis.floquet import accumulated
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.operating_point import on_reference
-from mfc_analysis.errors import BadArgument, MfcError
+from mfc_analysis.errors import MfcError
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
@@ -55,12 +55,11 @@ class Validation:
 def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     """Implements ``ClosedLoop.validate``.
 
-    Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is not an integer >= 0.
+    Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is not an integer from 0 to 2^64 - 1.
     """
     time = checks.number("time", time, low=0.0, strict=True)
     size = checks.number("size", size, low=1e-8)
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise BadArgument("seed", seed, "an integer >= 0")
+    seed = checks.whole("seed", seed, 0, 2**64 - 1)
     x0 = on_reference(e, np.zeros(1)).x[0]
     t = _grid(e, time)
     base = simulate(e, t, x0, method="LSODA", **TIGHT)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
+from mfc_analysis.errors import short
 from mfc_analysis.study.schema import StudyTable
 from mfc_analysis.study.tables import REFERENCES, Table, tables_of
 
@@ -28,11 +29,11 @@ def explained(error: Any, raw: Mapping[str, Any]) -> tuple[str, str, tuple[str, 
         word = got.get("kind") if isinstance(got, Mapping) else None
         near = get_close_matches(str(word), kinds, n=1)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
-        return f"{key}.kind", f"got {_short(word)}; takes one of {', '.join(map(repr, kinds))}{hint}" if word is not None else "is missing", kinds
+        return f"{key}.kind", f"got {short(word, 80)}; takes one of {', '.join(map(repr, kinds))}{hint}" if word is not None else "is missing", kinds
     said = _KINDS.get(kind) or ctx.get("what") or error["msg"].removeprefix("Input should be ")
     if isinstance(got, Mapping) and kind == "takes":
         return key, f"takes {said}", ()
-    return key, f"got {_short(got)}; takes {said}", ()
+    return key, f"got {short(got, 80)}; takes {said}", ()
 
 
 def _walk(loc: Sequence[str | int], raw: Any) -> tuple[str, type[Table], Any]:
@@ -68,8 +69,3 @@ def has(raw: Any, key: str) -> bool:
         else:
             return False
     return True
-
-
-def _short(value: Any) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 80 else text[:77] + "..."

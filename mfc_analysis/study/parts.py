@@ -247,6 +247,9 @@ class Parts:
         for key in asked:
             if key not in known:
                 raise UnknownName(f"gains.{key}", key, [name for name in known if name in type(table).model_fields])
+        for key, parameter in signature(helper).parameters.items():
+            if parameter.default is parameter.empty and key not in asked and key not in ("robot", "q"):
+                raise BadArgument(f"gains.{key}", None, f"a number, required by {table.helper}")
         if table.helper == "joint_pid":
             return dict(helper(self.model, self.reference if self.reference.space == "joint" else self._start("q_start"), **asked))
         return dict(helper(**asked))

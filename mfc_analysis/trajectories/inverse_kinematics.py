@@ -40,7 +40,7 @@ FINE, COARSE = 60, 24  #: nodes per period or duration of a path: for interpolat
 class JointPath(JointReference):
     """A joint trajectory by quintic Hermite interpolation between nodes with positions, velocities and accelerations.
 
-    Held at rest outside its times; a closed path repeats with its period.
+    Held at rest outside its times; a closed path repeats with its period. Raises BadArgument for arrays that do not fit together.
     """
 
     times: Array  #: (m,) [s]
@@ -51,9 +51,15 @@ class JointPath(JointReference):
     _path: Piecewise = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for values in (self.times, self.q, self.v, self.a):
-            values.setflags(write=False)
-        object.__setattr__(self, "_path", Piecewise.hermite(self.times, self.q, self.v, self.a))
+        times = checks.times(self.times)
+        motion = {name: checks.array(name, getattr(self, name), (times.size, None)) for name in ("q", "v", "a")}
+        for name, values in motion.items():
+            if times.size < 2 or values.shape != motion["q"].shape or values.shape[1] == 0:
+                raise BadArgument(name, f"shape {values.shape}", "a row for each time, at least two, and in q, v and a the same joints")
+        cycle = None if self.cycle is None else checks.number("cycle", self.cycle, low=0.0, strict=True)
+        path = Piecewise.hermite(times, *motion.values())
+        for name, content in {"times": times, **motion, "cycle": cycle, "_path": path}.items():
+            object.__setattr__(self, name, content)
 
     @property
     def n(self) -> int:
@@ -318,7 +324,13 @@ def _closed(ref: ToolReference, t: Array, nodes: _Node) -> float | None:
 
 
 def _start(robot: Robot, q_start: ArrayLike) -> Array:
-    return checks.array("q_start", checks.at_least_1d("q_start", q_start), (robot.n,))
+    from mfc_analysis.robots.robot import Robot
+
+    checks.instance("robot", robot, Robot, "a Robot, such as mfc.robots.ur5()")
+    out = checks.vector("q_start", q_start)
+    if out.size != robot.n:
+        raise BadArgument("q_start", f"shape {out.shape}", f"shape ({robot.n},)")
+    return out
 
 
 def _tool(ref: ToolReference) -> ToolReference:

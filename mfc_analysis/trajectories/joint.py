@@ -13,14 +13,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument, MfcWarning
-from mfc_analysis.maths import checks
+from mfc_analysis.maths import checks, files
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.trajectories.piecewise import Piecewise
 
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
 
+SHORTEST, LONGEST = 1e-6, 1e12  #: [s] of a motion
+LARGEST = 100_000_000  #: bytes of a CSV file
 PERIOD_TOLERANCE = 1e-9  #: relative, within which a ratio of frequencies counts as rational
 PERIOD_DENOMINATOR = 1000  #: largest numerator or denominator of such a ratio
 
@@ -103,7 +104,7 @@ class Hold(JointReference):
 class Quintic(JointReference):
     """From rest at q0 to rest at q1, each (n,) [rad or m], by the quintic 10 s^3 - 15 s^4 + 6 s^5 of s = t / duration; held after.
 
-    Velocity and acceleration are zero at both ends.
+    The duration is 1e-6 to 1e12 s. Velocity and acceleration are zero at both ends.
     """
 
     q0: ArrayLike
@@ -117,7 +118,7 @@ class Quintic(JointReference):
         q1 = _position("q1", self.q1)
         if q1.size != q0.size:
             raise BadArgument("q1", f"shape {q1.shape}", f"the shape of q0, {q0.shape}")
-        _set(self, q0=q0, q1=q1, duration=checks.number("duration", self.duration, low=0.0, strict=True), _q0=q0, _step=q1 - q0)
+        _set(self, q0=q0, q1=q1, duration=checks.number("duration", self.duration, low=SHORTEST, high=LONGEST), _q0=q0, _step=q1 - q0)
 
     @property
     def n(self) -> int:
@@ -229,10 +230,11 @@ def from_csv(path: str | os.PathLike[str]) -> Waypoints:
     A header line is optional, as are lines that are empty or start with ``#``; columns are separated by commas, semicolons, tabs or blanks.
     Raises ``BadArgument``, which names the file and line.
     """
+    takes = "the path of a CSV file that can be read"
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError, TypeError, ValueError) as why:
-        raise BadArgument("path", str(path), "the path of a CSV file that can be read") from why
+        text = files.read(checks.path("path", path, takes), LARGEST).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as why:
+        raise BadArgument("path", str(path), f"{takes} ({getattr(why, 'strerror', None) or 'it is not UTF-8 text'})") from why
     rows: list[list[float]] = []
     header_allowed = True
     for number, line in enumerate(text.splitlines(), start=1):
@@ -318,19 +320,14 @@ def quintic(t: Array, duration: float) -> tuple[Array, Array, Array]:
 
 def time_array(t: ArrayLike) -> Array:
     """Times [s] as a float array. Raises ``BadArgument`` where one is not finite."""
-    try:
-        out = np.asarray(t, dtype=float)
-    except (TypeError, ValueError) as why:
-        raise BadArgument("t", t, "finite times [s]") from why
-    if not np.isfinite(out).all():
-        raise BadArgument("t", t, "finite times [s]")
-    return out
+    return checks.array("t", t, takes="finite times [s]")
 
 
 def _position(argument: str, value: ArrayLike) -> Array:
-    out = checks.array(argument, checks.at_least_1d(argument, value))
-    if out.ndim != 1 or out.size == 0:
-        raise BadArgument(argument, f"shape {out.shape}", "shape (n,): a position for each joint [rad or m]")
+    takes = "shape (n,): a position for each joint [rad or m]"
+    out = checks.vector(argument, value, takes)
+    if out.size == 0:
+        raise BadArgument(argument, f"shape {out.shape}", takes)
     return out
 
 

@@ -16,7 +16,7 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import hat, log3, pose_matrix
-from mfc_analysis.trajectories.joint import quintic, time_array
+from mfc_analysis.trajectories.joint import LONGEST, SHORTEST, quintic, time_array
 
 
 class ToolPoint(NamedTuple):
@@ -140,7 +140,7 @@ class ToolLine(ToolReference):
         w = log3(R)
         angle = float(np.linalg.norm(w))
         axis = w / angle if angle > 0 else np.array([0.0, 0.0, 1.0])
-        duration = checks.number("duration", self.duration, low=0.0, strict=True)
+        duration = checks.number("duration", self.duration, low=SHORTEST, high=LONGEST)
         _set(self, X0=X0, X1=X1, duration=duration, _step=X1[:3, 3] - X0[:3, 3], _angle=angle, _turning=_Turning.about(X0[:3, :3], axis))
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,49 @@ def test_a_long_value_is_shortened_in_the_message() -> None:
     with pytest.raises(BadArgument) as info:
         checks.array("x", np.full(500, np.nan))
     assert len(str(info.value)) < 250 and "\n" not in str(info.value)
+
+
+def test_numbers_in_ragged_rows_are_told_from_other_bad_values() -> None:
+    with pytest.raises(BadArgument, match="takes finite numbers, in rows of equal length"):
+        checks.array("x", [[1], [1, 2]])
+
+
+def test_a_list_that_hides_booleans_words_or_complex_numbers_is_refused() -> None:
+    for value in ([1.0, True], [1, "3"], [1.0, 1j], np.array([True]), np.array(["3"], dtype=object), [np.True_, 2.0]):
+        with pytest.raises(BadArgument):
+            checks.array("x", value)
+    assert checks.array("x", [1, 10**30, np.float32(2)]).tolist() == [1.0, 1e30, 2.0]
+
+
+def test_what_cannot_be_written_is_named_by_its_type() -> None:
+    deep: list = []
+    for _ in range(5000):
+        deep = [deep]
+    for value, word in ((deep, "list"), (10**5000, "int")):
+        with pytest.raises(BadArgument, match=f"x: got one of type {word} that is too deep or too long to show"):
+            checks.array("x", value)
+
+
+def test_a_vector_is_a_list_or_one_number() -> None:
+    assert checks.vector("x", 2).tolist() == [2.0] and checks.vector("x", []).size == 0
+    assert not checks.vector("x", 2).flags.writeable
+    with pytest.raises(BadArgument, match=r"shape \(1, 2\)"):
+        checks.vector("x", [[1, 2]])
+
+
+def test_whole_numbers_names_objects_and_paths() -> None:
+    assert checks.whole("k", np.int64(3), 1, 3) == 3 and checks.names("joints", ("a", "b"), ("b", "a")) == ("a", "b")
+    assert checks.instance("x", 1.5, float, "a float") == 1.5 and checks.path("file", Path("a/b")) == Path("a/b")
+    for call in (
+        lambda: checks.whole("k", True, 0, 3),
+        lambda: checks.whole("k", 1.0, 0, 3),
+        lambda: checks.whole("k", 4, 0, 3),
+        lambda: checks.names("k", "a", ("a",)),
+        lambda: checks.names("k", [["a"]], ("a",)),
+        lambda: checks.instance("k", 1, float, "a float"),
+        lambda: checks.path("k", 1),
+        lambda: checks.path("k", b"a"),
+        lambda: checks.path("k", "a\0b"),
+    ):
+        with pytest.raises(BadArgument, match=r"^k: got "):
+            call()

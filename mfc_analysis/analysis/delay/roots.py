@@ -18,10 +18,12 @@ from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points, 
 from mfc_analysis.analysis.delay.verdict import chain, delayed_verdicts
 from mfc_analysis.analysis.spectrum import poles, spectrum
 from mfc_analysis.analysis.system import OpenSystem, without_idle
-from mfc_analysis.errors import BadArgument, Unsupported
+from mfc_analysis.errors import Unsupported
 from mfc_analysis.maths.arrays import Array, Complex, Ints
+from mfc_analysis.maths.checks import whole
 
 MOST_NODES = 200  #: for one wire
+MOST_ROOTS = 10_000  #: roots asked for
 MOST_SIZE = 600  #: of the collocated matrix
 
 
@@ -33,8 +35,7 @@ def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
     """
     if system.dt:
         raise Unsupported("delay_roots", "a sampled loop", "a continuous one: the poles in z of a sampled loop include its dead time")
-    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-        raise BadArgument("count", count, "a whole number >= 1")
+    count = whole("count", count, 1, MOST_ROOTS)
     system = without_idle(system)
     out = np.full((len(system.A), count), -np.inf, np.complex128)
     if not system.delayed:

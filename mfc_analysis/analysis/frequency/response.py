@@ -16,7 +16,7 @@ from mfc_analysis.analysis.channels import has_rate, point_wires
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths.arrays import Array, Complex
-from mfc_analysis.maths.checks import array, at_least_1d
+from mfc_analysis.maths.checks import vector
 
 CHUNK = 2_000_000  #: complex numbers solved for at a time
 
@@ -28,7 +28,7 @@ def frequency_response(system: OpenSystem, frequencies: ArrayLike, at: str) -> C
     Raises ``UnknownPoint`` and ``BadArgument``.
     """
     wires = point_wires(system, at)
-    w = array("frequencies", at_least_1d("frequencies", frequencies), (None,))
+    w = vector("frequencies", frequencies)
     highest = np.pi / system.dt * (1 + 1e-12) if system.dt else np.inf
     if np.any(w < 0) or np.any(w > highest):
         raise BadArgument("frequencies", frequencies, "frequencies >= 0 [rad/s]" + (f" up to pi/dt = {np.pi / system.dt:.6g}" if system.dt else ""))

@@ -124,11 +124,10 @@ def _views(loop: Loops, times: Any, requirements: Any, at: Any) -> tuple[View, .
         raise BadArgument("loop", loop, "at least one ClosedLoop")
     out = []
     for key, one in named.items():
-        if not isinstance(one, ClosedLoop):
-            raise BadArgument(f"loop[{key!r}]", one, "a ClosedLoop")
-        asked = _of(requirements, key, "requirements") or Requirements()
-        if not isinstance(asked, Requirements):
-            raise BadArgument("requirements", asked, "a Requirements, or a mapping from the loops' names to them")
+        checks.instance(f"loop[{key!r}]", one, ClosedLoop, "a ClosedLoop")
+        asked = _of(requirements, key, "requirements")
+        asked = Requirements() if asked is None else asked
+        checks.instance("requirements", asked, Requirements, "a Requirements, or a mapping from the loops' names to them")
         out.append(View(key, one, checks.times(_of(times, key, "times")), asked, _of(at, key, "at")))
     return tuple(out)
 
