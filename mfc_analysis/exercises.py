@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 QUINTIC_TOP_SPEED = 1.875  #: top speed of a quintic over its mean speed
 SLOWEST, FASTEST = 1e-2, 1e6  #: [deg/s] target velocities
 LONGEST = 1e4  #: [s] of a run
+LARGEST = 1e12  #: [m, N] of exercise 9.4
 SETTLED = 0.02  #: settling band, a fraction of the motion
 GRAVITY = 9.81  #: [m/s^2]
 
@@ -322,12 +323,14 @@ def rp_torques(theta_deg: float = 45.0, d: float = 1.0, force: Sequence[float] =
     Args:
         theta_deg: [deg]. d: [m]. force: (Fx, Fy) [N] in base axes, exerted by the tool.
 
-    Raises BadArgument for numbers that are not finite.
+    Raises BadArgument for numbers that are not finite, or above 1e12.
     """
     from mfc_analysis.robots import rp
 
-    theta, d = math.radians(checks.number("theta_deg", theta_deg)), checks.number("d", d)
+    theta, d = math.radians(checks.number("theta_deg", theta_deg)), checks.number("d", d, low=-LARGEST, high=LARGEST)
     F = checks.array("force", force, (2,))
+    if np.abs(F).max() > LARGEST:
+        raise BadArgument("force", force, f"forces up to {LARGEST:g} N")
     torques = rp().joint_torques([theta, d], [F[0], F[1], 0, 0, 0, 0], frame="world")
     s, c = math.sin(theta), math.cos(theta)
     return ForceAnswer(theta, d, F, np.array([[-d * s, c], [d * c, s]]), np.asarray(torques) + 0.0)

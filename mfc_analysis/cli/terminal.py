@@ -37,13 +37,13 @@ def console(stderr: bool = False) -> Console:
 
 
 class _Output(FileIO):
-    """A standard stream whose reader may leave: what is written afterwards is dropped."""
+    """A standard stream whose reader may leave: what is written afterwards is dropped. So is what standard error cannot take."""
 
     def write(self, data: Any) -> int:
         try:
             return super().write(data)
         except OSError as why:
-            if why.errno not in (errno.EPIPE, errno.EINVAL, errno.EBADF):
+            if self.fileno() != 2 and why.errno not in (errno.EPIPE, errno.EINVAL, errno.EBADF):
                 raise
             return len(data)
 
@@ -162,7 +162,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
                 complain(f"error: {why}")
                 raise Exit(BAD_INPUT) from None
             except OSError as why:
-                complain(f"error: {why.filename or 'output'}: {why.strerror or why}")
+                complain(f"error: {why.filename or 'standard output'}: {why.strerror or why}")
                 raise Exit(BAD_INPUT) from None
             except MemoryError:
                 complain("error: there is not enough memory for this input")

@@ -123,7 +123,7 @@ SCALARS = ("delay", "force_delay", "sample_time", "force_filter")  #: the same f
 def _positive_or_none(name: str, given: ArrayLike) -> Any:
     alone = name in SCALARS
     low, high, unit = (SHORTEST, LONGEST, " s") if name in TIMES else (SMALLEST, LARGEST, "")
-    takes = f"{'one number' if alone else 'a scalar or (n,) array'}, {low:g} to {high:g}{unit}; None or 0 turns it off"
+    takes = f"{'one number' if alone else 'a scalar or (n,) array'}, positive, {low:g} to {high:g}{unit}; None or 0 turns it off"
     out = checks.array(f"hardware.{name}", given)
     if out.ndim > (0 if alone else 1) or (out.any() and (np.any(out < low) or np.any(out > high))):
         raise BadArgument(f"hardware.{name}", given, takes)

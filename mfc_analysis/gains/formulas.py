@@ -338,3 +338,9 @@ def _pair(kind: str, per: Mapping[str, float]) -> tuple[float, float]:
         return w, (per["kd"] / w - 1) / 2
     square, linear = (per["ki"], per["kp"]) if kind == "pi" else (per["kp"], per["kd"])
     return math.sqrt(square), linear / (2 * math.sqrt(square))
+
+
+def _robot(given: Robot) -> Robot:
+    from mfc_analysis.robots.robot import Robot
+
+    return checks.instance("robot", given, Robot, "a Robot, such as mfc.robots.ur5()")

@@ -99,6 +99,9 @@ class CoupledLoop:
 
 def motion(robot: Robot, q: Any) -> Motion:
     """The poses q (n,) or (m, n), or a joint reference, as a ``Motion``. Raises BadArgument."""
+    from mfc_analysis.robots.robot import Robot
+
+    checks.instance("robot", robot, Robot, "a Robot, such as mfc.robots.ur5()")
 
     def diagonal(poses: Array) -> Array:
         return np.array(np.diagonal(robot.mass(poses), axis1=-2, axis2=-1))

@@ -17,11 +17,8 @@ def read(path: Path, most: int) -> bytes:
 
     Raises OSError for anything else: a folder, a device, a pipe, a larger file, or one that cannot be read.
     """
-    with os.fdopen(os.open(path, os.O_RDONLY | _PLAIN), "rb") as file:
-        kind = os.fstat(file.fileno()).st_mode
-        if stat.S_ISDIR(kind):
-            raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
-        if not stat.S_ISREG(kind):
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | _PLAIN)) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "it is not a regular file", str(path))
         content = file.read(most + 1)
     if len(content) > most:

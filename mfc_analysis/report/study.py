@@ -9,7 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mfc_analysis.errors import MfcError
 from mfc_analysis.study.check import LoopCheck, check as check_study
+from mfc_analysis.study.errors import StudyError
 from mfc_analysis.study.limits import limits
 
 if TYPE_CHECKING:
@@ -55,21 +57,24 @@ def report(study: Study, out: str | os.PathLike[str], formats: Sequence[str], pr
 
 
 def document(study: Study, done: Callable[[str], None] | None = None, progress: Progress = lambda what, some, of: None) -> Document:
-    """The report of a study as values."""
+    """The report of a study as values. Raises StudyError if a loop cannot be analysed."""
     from mfc_analysis.report.loops.report import loop_document
 
     loops = study.loops
-    made = loop_document(
-        {one.name: one.loop for one in loops},
-        {one.name: one.times for one in loops},
-        {one.name: one.requirements for one in loops},
-        at={one.name: one.at for one in loops},
-        title=study.title,
-        name=study.name,
-        command=f"mfc-analysis report {study.file.name} --out out",
-        inputs={path.name: path.read_bytes() for path in study.files()},
-        done=done,
-    )
+    try:
+        made = loop_document(
+            {one.name: one.loop for one in loops},
+            {one.name: one.times for one in loops},
+            {one.name: one.requirements for one in loops},
+            at={one.name: one.at for one in loops},
+            title=study.title,
+            name=study.name,
+            command=f"mfc-analysis report {study.file.name} --out out",
+            inputs={path.name: path.read_bytes() for path in study.files()},
+            done=done,
+        )
+    except MfcError as why:
+        raise StudyError(str(study.file), "", str(why)) from why
     chosen = study.table.report.sections
     sections = list(made.sections)
     if chosen is not None:

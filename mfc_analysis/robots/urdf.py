@@ -14,6 +14,7 @@ from mfc_analysis.errors import BadArgument, BadRobot
 from mfc_analysis.maths import checks, files
 
 LARGEST = 20_000_000  #: bytes of a URDF file
+MOST_PARTS = 4000  #: links and joints of a URDF; Pinocchio ends the process on chains of ten thousands
 
 _KEPT = ("link", "joint")
 _PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics"), "fixed": ("origin", "parent", "child")}
@@ -64,6 +65,8 @@ def checked_urdf(text: str) -> tuple[str, tuple[str, ...]]:
     for element in root:
         if element.tag in _KEPT:
             bare.append(_stripped(element))
+    if len(bare) > MOST_PARTS:
+        raise BadRobot(f"the URDF has {len(bare)} links and joints; at most {MOST_PARTS} are allowed")
     _check_names(bare)
     for element in bare:
         _check_numbers(element)

@@ -75,7 +75,7 @@ class LoopCheck:
 def check(study: Study, progress: Progress = lambda what, done, of: None, *, search: bool = False) -> tuple[LoopCheck, ...]:
     """Checks every loop of the study against its requirements, over its ranges; ``search``: finds its design limits too.
 
-    Raises MfcError if a loop cannot be checked.
+    Raises StudyError if a loop cannot be checked.
     """
     found = tuple(_check(loop, progress) for loop in study.loops)
     return tuple(replace(one, limits=limits(one.loop, progress)) for one in found) if search else found
@@ -86,11 +86,12 @@ def _check(one: StudyLoop, progress: Progress) -> LoopCheck:
     progress(one.name, 0, len(cases) or 1)
     requirements = one.requirements
     found: list[tuple[str, Verdict]] = []
-    for i, case in enumerate(cases):
-        found.append((str(case), requirements.check(case.loop, one.times, one.at)))
-        progress(one.name, i + 1, len(cases))
-    if not cases:
-        found.append(("", requirements.check(one.loop, one.times, one.at)))
+    with one.parts.within(""):
+        for i, case in enumerate(cases):
+            found.append((str(case), requirements.check(case.loop, one.times, one.at)))
+            progress(one.name, i + 1, len(cases))
+        if not cases:
+            found.append(("", requirements.check(one.loop, one.times, one.at)))
     worst: dict[str, tuple[Line, str]] = {}
     for case_said, verdict in found:
         for line in verdict.lines:

@@ -17,17 +17,16 @@ Progress = Callable[[str, int, int], None]
 
 
 def limits(one: StudyLoop, progress: Progress = lambda what, done, of: None) -> tuple[Limit, ...]:
-    """The limits selected in the ``[design]`` table of a loop, in its order. Raises MfcError if a search does not apply."""
+    """The limits selected in the ``[design]`` table of a loop, in its order. Raises StudyError if a search does not apply."""
     from mfc_analysis import design
 
     asked = [name for name in type(one.table.design).model_fields if getattr(one.table.design, name)]
     out: list[Limit] = []
     for i, name in enumerate(asked):
         progress(f"{one.name}: {name}", i, len(asked))
-        if name == "max_bandwidth":
-            out.append(_bandwidth(one))
-        else:
-            out.append(getattr(design, name)(one.loop, times=one.times, horizon=one.requirements.horizon))
+        with one.parts.within(f"design.{name}"):
+            search = getattr(design, name) if name != "max_bandwidth" else None
+            out.append(search(one.loop, times=one.times, horizon=one.requirements.horizon) if search else _bandwidth(one))
     return tuple(out)
 
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mfc_analysis.dynamics.hardware import Hardware
     from mfc_analysis.laws.law import Law
     from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.requirements.requirements import Requirements
 
 
 POINTS = 101  #: number of times if the study has none and the reference moves
@@ -50,8 +51,8 @@ class Parts:
     prefix: str = ""  #: "loop[1]" in a study of several
 
     @contextmanager
-    def _in(self, key: str) -> Iterator[None]:
-        """Turns errors of a part into errors of the study that name its key."""
+    def within(self, key: str) -> Iterator[None]:
+        """Turns errors of a part into errors of the study that name its file and key; "": the loop as a whole."""
         try:
             yield
         except StudyError:
@@ -69,7 +70,7 @@ class Parts:
     @cached_property
     def robot(self) -> Robot:
         """The plant."""
-        with self._in("robot"):
+        with self.within("robot"):
             return self._body(self.table.robot)
 
     @cached_property
@@ -81,7 +82,7 @@ class Parts:
             return self.robot
         if {"name", "load", "urdf"} & set(changes):
             changes = {"name": None, "load": None, "urdf": None, "parameters": {}} | changes
-        with self._in("controller_model"):
+        with self.within("controller_model"):
             return self._body(self.table.robot.model_copy(update=changes))
 
     def _body(self, table: BodyTable) -> Robot:
@@ -116,7 +117,7 @@ class Parts:
     def q_start(self) -> Array | None:
         """(n,) joint position at the start, None if the study has none."""
         given = self._si(self.table, "q_start")
-        with self._in(""):
+        with self.within(""):
             return None if given is None else checks.array("q_start", given, (self.robot.n,))
 
     def _si(self, table: Table, key: str) -> Any:
@@ -156,7 +157,7 @@ class Parts:
     @cached_property
     def reference(self) -> Any:
         """The reference."""
-        with self._in("reference"):
+        with self.within("reference"):
             return self._reference(self.table.reference)
 
     def _reference(self, table: Any) -> Any:
@@ -182,7 +183,7 @@ class Parts:
 
     def times(self) -> Array:
         """(m,) [s] at which the loop is analysed: those of the study, else along the reference."""
-        with self._in("times"):
+        with self.within("times"):
             return self._times_of(self.reference)
 
     def _times_of(self, ref: Any) -> Array:
@@ -199,7 +200,7 @@ class Parts:
         from mfc_analysis import laws
 
         table = self.table.law
-        with self._in("law"):
+        with self.within("law"):
             if table.equation is not None:
                 kind = laws.by_equation(table.equation)
             else:
@@ -234,7 +235,7 @@ class Parts:
     def at(self) -> str | None:
         """The analysis point of the study. Raises StudyError if the law does not have it."""
         if self.table.at is not None:
-            with self._in(""):
+            with self.within(""):
                 checks.choice("at", self.table.at, self.law.opens_at)
         return self.table.at
 
@@ -270,7 +271,7 @@ class Parts:
 
         out = []
         for i, table in enumerate(tables):
-            with self._in("environment" if len(tables) == 1 else f"environment[{i}]"):
+            with self.within("environment" if len(tables) == 1 else f"environment[{i}]"):
                 pose = None if table.pose is None else self.pose("pose", table.pose)
                 out.append(Environment(table.stiffness, table.damping, pose, table.axes, table.preload, table.one_sided))
         return out
@@ -280,13 +281,22 @@ class Parts:
         from mfc_analysis.dynamics.hardware import Hardware
 
         given: dict[str, Any] = {**({} if self.table.hardware is None else self.table.hardware.given()), **(changes or {})}
-        with self._in("hardware"):
+        with self.within("hardware"):
             return Hardware(**given) if given else None
 
     def files(self) -> tuple[Path, ...]:
         """The files that the tables name."""
         named = [self.table.robot.urdf, self.table.controller_model and self.table.controller_model.urdf, getattr(self.table.reference, "file", None)]
         return tuple(self.folder / name for name in named if name)
+
+    @cached_property
+    def requirements(self) -> Requirements:
+        """The requirements."""
+        from mfc_analysis.requirements.requirements import Requirements
+
+        with self.within("requirements"):
+            horizon = {} if self.table.horizon is None else {"horizon": self.table.horizon}
+            return Requirements(**self.table.requirements.given(), **horizon)
 
     # --- loops ---------------------------------------------------------------------------------------------------------
 
@@ -304,7 +314,7 @@ class Parts:
         if "viscous" in values:
             old = self.table.robot.friction
             plant["friction"] = _with_viscous(old, values["viscous"])
-        with self._in("ranges"):
+        with self.within("ranges"):
             robot = self._body(self.table.robot.model_copy(update=plant)) if plant else self.robot
         change = {key: values[key] for key in ("stiffness", "damping") if key in values}
         surfaces = self.surfaces([t.model_copy(update=change) for t in self.table.environment])
@@ -319,7 +329,7 @@ class Parts:
         from mfc_analysis.loop import ClosedLoop
 
         law, ref, model, q_start = self.law, self.reference, self.model, self.q_start
-        with self._in(""):
+        with self.within(""):
             return ClosedLoop(robot, law, ref, model, surfaces or None, q_start, hardware)
 
 
@@ -328,7 +338,7 @@ _JOINT_KEYS = ("q", "q0", "q1", "q_start", "center", "amplitude", "positions")
 
 def _argument(why: BadArgument, key: str) -> str:
     """The argument of an error as a key under its table."""
-    name = {"ref": "reference", "number": "equation", "source": "urdf", "path": "file"}.get(why.argument, why.argument)
+    name = {"ref": "reference", "number": "equation", "source": "urdf", "path": "file", "loop": ""}.get(why.argument, why.argument)
     if name == key or not name.replace("_", "").replace(".", "").isidentifier():
         return ""
     return name.removeprefix(f"{key}.")

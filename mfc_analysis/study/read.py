@@ -59,10 +59,7 @@ class StudyLoop:
     @property
     def requirements(self) -> Requirements:
         """The requirements."""
-        from mfc_analysis.requirements.requirements import Requirements
-
-        horizon = {} if self.table.horizon is None else {"horizon": self.table.horizon}
-        return Requirements(**self.table.requirements.given(), **horizon)
+        return self.parts.requirements
 
     @property
     def asks(self) -> bool:
@@ -131,7 +128,7 @@ def read(path: str | os.PathLike[str]) -> Study:
     for i, table in enumerate(checked):
         _check_cases(str(path), table)
         parts = Parts(table, file.parent, str(path), f"loop[{i}]" if tables else "")
-        loop = parts.loop()
+        loop, _ = parts.loop(), parts.requirements
         name = table.name or f"{type(loop.law).__name__} on {loop.robot.name}"
         if any(name == other.name for other in loops):
             name = f"{name} ({i + 1})"

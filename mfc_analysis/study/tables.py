@@ -6,6 +6,7 @@ Units are SI and radians, except for keys that end in ``_deg`` or ``_hz``.
 from __future__ import annotations
 
 import math
+import sys
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, PlainValidator, Tag, model_validator
@@ -19,7 +20,7 @@ def takes(what: str) -> PydanticCustomError:
 
 def is_number(value: Any) -> bool:
     """Whether a value is a finite number, and not a boolean."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _number(value: Any) -> float:

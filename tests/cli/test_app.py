@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -16,6 +17,8 @@ from mfc_analysis.laws import LAWS
 from mfc_analysis.study.shipped import folder
 from tests.cli.commands import SMALL, run, small
 from tests.study.samples import URDF
+
+ROOT = Path(__file__).resolve().parents[2]
 
 # --- check ---------------------------------------------------------------------------------------------------------------
 
@@ -97,6 +100,48 @@ def test_a_study_that_is_not_there_is_bad_input(tmp_path, monkeypatch, argument)
     assert done.exit_code == 2 and "cannot be read" in done.stderr
 
 
+def test_every_error_of_a_study_names_its_file_and_key(tmp_path):
+    deep = "a = " + "[" * 3000 + "]" * 3000
+    cases = {
+        "requirements.overshoot: got -1.0": small(tmp_path, more="overshoot = -1.0\n"),
+        "design.max_stiffness: loop: got ": small(tmp_path, more="[design]\nmax_stiffness = true\n", name="b.toml"),
+        "law.gains.stiffness: got None": small(tmp_path, name="c.toml"),
+        "law.kp: got 1000": small(tmp_path, name="d.toml"),
+        "has lists or tables nested too deeply": tmp_path / "e.toml",
+        "is not TOML: ": tmp_path / "f.toml",
+        "cannot be read .it is larger than 4 MB.": tmp_path / "g.toml",
+        "has lists or tables nested": tmp_path / "h.toml",
+    }
+    for name, old, new in (("c", "kp = 50.0\nki = 100.0\nkd = 10.0", 'gains = {helper = "force_pi"}'), ("d", "kp = 50.0", "kp = 1" + "0" * 400)):
+        path = tmp_path / f"{name}.toml"
+        path.write_text(path.read_text().replace(old, new))
+    (tmp_path / "e.toml").write_text(deep)
+    (tmp_path / "f.toml").write_text("a = 1" + "0" * 5000)
+    (tmp_path / "g.toml").write_text("#" * 5_000_000)
+    (tmp_path / "h.toml").write_text("a" + ".a" * 4000 + " = 1")
+    for said, path in cases.items():
+        done = run("check", path)
+        assert done.exit_code == 2 and done.exception.__class__ is SystemExit, said
+        assert re.search(rf"^error: .*{path.name}: {said}", done.stderr), done.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
+@pytest.mark.parametrize("key", ["study", "urdf", "csv"])
+def test_a_pipe_or_a_device_is_refused_at_once(tmp_path, key):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, "/dev/zero"):
+        study = small(tmp_path)
+        text = study.read_text()
+        if key == "urdf":
+            study.write_text(text.replace('name = "single_joint"', f'urdf = "{path}"'))
+        elif key == "csv":
+            study.write_text(text.replace('kind = "Hold"', f'kind = "csv"\nfile = "{path}"'))
+        done = run("check", path if key == "study" else study)
+        assert done.exit_code == 2 and "it is not a regular file" in done.stderr
+    assert run("init", pipe, "--out", tmp_path / "first.toml").exit_code == 2 and not (tmp_path / "first.toml").exists()
+
+
 # --- report --------------------------------------------------------------------------------------------------------------
 
 
@@ -139,6 +184,33 @@ def test_a_report_shows_ranges_and_limits_and_only_the_sections_asked_for(tmp_pa
     titles = [section["title"] for section in json.loads(text)["sections"]]
     assert any("parameter ranges" in t for t in titles) and "Design limits" in titles
     assert '"Poles"' in text and "Validity of the linear model" not in text
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+def test_a_link_in_the_output_folder_is_replaced_and_nothing_is_written_outside(tmp_path):
+    out = tmp_path / "o"
+    out.mkdir()
+    for suffix in ("html", "pdf", "json"):
+        (tmp_path / f"victim.{suffix}").write_text("precious")
+        (out / f"small.{suffix}").symlink_to(f"../victim.{suffix}")
+    done = run("report", small(tmp_path), "--out", out)
+    assert done.exit_code == 0, done.output
+    assert all((tmp_path / f"victim.{suffix}").read_text() == "precious" for suffix in ("html", "pdf", "json"))
+    assert sorted(p.name for p in out.iterdir() if not p.is_symlink()) == ["small.html", "small.json", "small.pdf"]
+
+
+def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    path, out = small(tmp_path), tmp_path / "o"
+    assert run("report", path, "--out", out, "--format", "json").exit_code == 0
+    before = (out / "small.json").read_bytes()
+    monkeypatch.setattr(os, "fsync", full)
+    for arguments in (("report", path, "--out", out, "--format", "json"), ("init", "ur5", "--out", tmp_path / "ur5.toml")):
+        done = run(*arguments)
+        assert done.exit_code == 2 and re.search(r"error: .*(small\.json|ur5\.toml): No space left on device", done.stderr)
+    assert (out / "small.json").read_bytes() == before and sorted(p.name for p in tmp_path.rglob("*")) == ["o", "small.json", "small.toml"]
 
 
 # --- init, studies -------------------------------------------------------------------------------------------------------
@@ -226,6 +298,40 @@ def test_help_loads_nothing_heavy():
 
 def test_the_version_is_said():
     assert run("--version").stdout.strip() == f"mfc-analysis {__version__}"
+
+
+def shell(command: str, folder) -> tuple[int, str]:
+    """Exit code and standard error of a command line in a shell, where $M is the command of this package."""
+    environment = os.environ | {"M": f"{sys.executable} -m mfc_analysis", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, timeout=100)
+    return done.returncode, done.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a shell of POSIX")
+def test_an_output_that_is_closed_full_or_left_gives_no_traceback_and_keeps_the_verdict(tmp_path):
+    small(tmp_path)
+    small(tmp_path, 89.0, name="bad.toml")
+    for command, code in {
+        "$M check small.toml >&-": 0,
+        "$M check bad.toml >&-": 1,
+        "$M check small.toml <&- >&- 2>&-": 0,
+        "$M check bad.toml | head -0; exit ${PIPESTATUS[0]}": 1,
+        "$M --help | head -0; exit ${PIPESTATUS[0]}": 0,
+        "$M nonsense 2>&-": 2,
+    }.items():
+        found, said = shell(command, tmp_path)
+        assert (found, said) == (code, ""), command
+    if os.path.exists("/dev/full"):
+        assert shell("$M check small.toml >/dev/full", tmp_path)[0] == 2
+        assert shell("$M check none.toml 2>/dev/full", tmp_path)[0] == 2
+
+
+def test_an_error_of_our_own_is_a_sentence_and_never_exit_code_1():
+    code = "import mfc_analysis.cli.app as cli\ndef app(): raise ZeroDivisionError('x')\ncli.app = app\ncli.main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2 and re.fullmatch(
+        r"error: internal error \(app\.py, line \d+\): ZeroDivisionError: x; please report .*\n", done.stderr
+    )
 
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGTERM ends a Windows process at once")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import tomllib
+import warnings
 
 import numpy as np
 import pytest
 
 import mfc_analysis as mfc
+from mfc_analysis import robots
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.study.check import check
 from mfc_analysis.study.init import STRIDE, first_path, friction_rules, study_for, unmoving, write
@@ -114,3 +116,11 @@ def test_names_that_would_break_out_of_a_comment_or_a_text_do_not():
     text = study_for(mfc.robots.slider(), 'name = "slider"', 'a\nb".toml', ['f"1', "f\n2"])
     said = tomllib.loads(text)
     assert said["robot"]["locked"] == ['f"1', "f\n2"] and "mfc-analysis check a?b" in text
+
+
+def test_the_first_path_of_joints_without_limits_is_computed_without_a_warning() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for robot in (robots.single_joint(), robots.planar_2r(), robots.rp()):
+            q0, q1, duration = first_path(robot)
+            assert np.isfinite(q0).all() and np.isfinite(q1).all() and duration == 2.0
