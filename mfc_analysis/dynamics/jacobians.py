@@ -185,10 +185,9 @@ def _changed(A: Array, change: _Change, nx: int) -> tuple[Array, Array]:
     """A in the new coordinates, and T = d(new states)/d(old states)."""
     k = change.replaced
     T = np.broadcast_to(np.eye(nx), A.shape).copy()
-    assert isinstance(change.states, Dual) and isinstance(change.rates, Dual)
-    T[:, :k] = change.states.tangent[..., :nx]
+    T[:, :k] = _tangent(change.states, (len(A), k), nx)[..., :nx]
     G = A.copy()
-    G[:, :k] = change.rates.tangent[..., :nx]
+    G[:, :k] = _tangent(change.rates, (len(A), k), nx)[..., :nx]
     return _over(G, T), T
 
 
@@ -200,10 +199,9 @@ def _over(G: Array, T: Array) -> Array:
 def _changed_open(rates: Array, outputs: Array, change: _Change, nx: int) -> tuple[Array, Array]:
     """Rows of rates and outputs over [states, inputs, wires], with the new states as columns."""
     k = change.replaced
-    assert isinstance(change.states, Dual) and isinstance(change.rates, Dual)
     _, T = _changed(rates[:, :, :nx], change, nx)
     new = rates.copy()
-    new[:, :k] = change.rates.tangent
+    new[:, :k] = _tangent(change.rates, (len(rates), k), rates.shape[2])
 
     def over(rows: Array) -> Array:
         return np.concatenate([_over(rows[:, :, :nx], T), rows[:, :, nx:]], axis=2)

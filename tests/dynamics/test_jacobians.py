@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mfc_analysis import laws as L
+from mfc_analysis import laws as L, robots
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
@@ -273,3 +273,11 @@ def test_a_small_pose_error_is_as_exact_as_a_large_one() -> None:
         h = 1e-5 if angle < 1 else 1e-4
         num = sum(w * log6(X_d @ exp6(k * h * twist)) for k, w in ((-2, 1), (-1, -8), (1, 8), (2, -1))) / (12 * h)
         assert_allclose(E.log().tangent[:, 0], num, atol=2e-9)
+
+
+def test_a_law_without_feedback_has_error_coordinates_too() -> None:
+    ref = Sinusoid([0.1, 0.2], 0.1, 2.0)
+    loop = ClosedLoop(robots.planar_2r(), L.VelocityFeedforward(), ref)
+    lin = loop.linearize([0.0, 0.3], coordinates="error")
+    assert not lin.A.any() and lin.A.shape == (2, 2, 2)
+    assert_allclose(lin.B[..., :2], -loop.linearize([0.0, 0.3]).B[..., :2], atol=1e-12)
