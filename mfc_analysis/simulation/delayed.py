@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations_with_replacement, pairwise
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from mfc_analysis.simulation.run import Run
 
 #: Chebyshev-Lobatto points on [0, 1], at which the signals of a segment are recorded for later segments
 NODES = 0.5 * (1 - np.cos(np.pi * np.arange(9) / 8))
+#: evaluations of the equations that take about as long as the recording of a segment
+RECORDING = 4
 _WEIGHTS = np.array([0.5, -1, 1, -1, 1, -1, 1, -1, 0.5])
 
 
@@ -40,7 +44,7 @@ class History:
         if np.abs(apart).min() < 1e-12:
             return np.asarray(self.samples[i][int(np.abs(apart).argmin())], float)
         w = _WEIGHTS / apart
-        return np.asarray((w @ self.samples[i]) / w.sum())
+        return np.asarray(np.tensordot(w / w.sum(), self.samples[i], axes=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +59,7 @@ class Late:
 
 
 def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
-    """Method of steps: in a segment no longer than the shortest dead time, every arriving signal was sent in an earlier segment."""
+    """Method of steps on ``segments``: every signal that arrives in a segment was sent in an earlier one, and has no kink within it."""
     e, lose = run.equations, run.one_sided
     delays = e.delays
     start, end = float(asked[0]), float(asked[-1])
@@ -73,15 +77,13 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
         rates_now: Array = value(e.join(e.flow(t, x, Wires(arriving(t)), run.inputs(t), lose_contact=lose).rates))
         return rates_now
 
-    segment = min(delays.values())
     x = x0
-    count = int(np.ceil((end - start) / segment - 1e-9))
-    for k in range(count):
-        begin, stop = start + k * segment, min(start + (k + 1) * segment, end)
+    for begin, stop in segments(start, end, list(delays.values())):
         reached = run.integrate(rates, begin, stop, x, short=True)
         if reached is None:
             return
         x = reached
+        run.spent += RECORDING
         t = begin + NODES * (stop - begin)
         states = np.stack([run.path.at(float(ti)) for ti in t])
         recorded = Wires({name: np.stack([history[name].at(float(ti) - d) for ti in t]) for name, d in delays.items()})
@@ -92,3 +94,21 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
             return
         for name in delays:
             history[name].add(begin, stop - begin, np.array(np.broadcast_to(value(recorded.recorded[name]), (len(t), history[name].first.size))))
+
+
+def segments(start: float, end: float, delays: list[float]) -> Iterator[tuple[float, float]]:
+    """(begin, end) [s] of segments no longer than the shortest dead time.
+
+    A signal that is constant before the start has a kink there. It comes back after each dead time and after each sum of them, smoother by one
+    order each time; the first five are ends of segments.
+    """
+    span, least = end - start, min(delays)
+    late = sorted(sum(some) for count in range(1, 6) for some in combinations_with_replacement(delays, count))
+    marks = [0.0]
+    for mark in [*(d for d in late if d < (1 - 1e-9) * span), span]:
+        if mark - marks[-1] > 1e-9 * min(span, least):
+            marks.append(mark)
+    for a, b in pairwise(marks):
+        count = max(int(np.ceil((b - a) / least - 1e-9)), 1)
+        ends = (b if k == count else a + (b - a) * k / count for k in range(count + 1))
+        yield from pairwise(start + edge for edge in ends)

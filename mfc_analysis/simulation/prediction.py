@@ -1,10 +1,9 @@
-"""Linear prediction of a disturbed run with dead time or sampling, for a validation."""
+"""Linear prediction of disturbed runs with dead time or sampling, for a validation. ``directions`` of the start state are (nx,), or (nx, k) at once."""
 
 from __future__ import annotations
 
-from itertools import combinations_with_replacement, pairwise
-
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from mfc_analysis.analysis.floquet import gauss_nodes, transition_magnus
 from mfc_analysis.analysis.sampled import sampled
@@ -12,17 +11,20 @@ from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import open_system
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.simulation.delayed import NODES, History
+from mfc_analysis.simulation.delayed import NODES, History, segments
 from mfc_analysis.simulation.sampled import own_states_step
 from mfc_analysis.simulation.simulation import Simulation
 
+FINE = {"rtol": 1e-11, "atol": 1e-13}  #: below the tolerance of the runs of ``validate``
 
-def delayed(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
-    """(N, nx) x' = A(t) x + B w(t - T), w = C x + D w(t - T) along the base run, from ``direction``; before the start w is constant.
 
-    Runge-Kutta of fourth order on segments no longer than the shortest dead time and without a kink inside, A(t) a cubic through four points of each.
+def delayed(e: Equations, base: Simulation, t: Array, directions: Array) -> Array:
+    """(N, nx[, k]) x' = A(t) x + B w(t - T), w = C x + D w(t - T) along the base run, from ``directions``; before the start w is constant.
+
+    The segments and the record of the signals are those of the nonlinear run, so that what they leave out is the same in both; A(t) is a cubic
+    through four points of each segment.
     """
-    edges = segments(float(t[0]), float(t[-1]), list(e.delays.values()))
+    edges = np.array([float(t[0]), *(stop for _, stop in segments(float(t[0]), float(t[-1]), list(e.delays.values())))])
     whole = len(edges) - 1
     at_thirds = np.interp(np.arange(3 * whole + 1) / 3, np.arange(whole + 1), edges)
     sent = None if base.arrived is None else {e.actuator: np.stack([base.arrived(float(ti)) for ti in at_thirds])}
@@ -32,50 +34,28 @@ def delayed(e: Equations, base: Simulation, t: Array, direction: Array) -> Array
     A, B, C, D = close_wires(system, late)
     along = [_Cubic(M, edges) for M in (A, B[:, :, nu:], C[:, ny:], D[:, ny:, nu:])]
     At, Bt, Ct, Dt = along
-    out = np.empty((len(t), e.nx))
-    x = direction.copy()
+    out = np.empty((len(t), *directions.shape))
+    x = directions.copy()
     past = History(float(t[0]), np.asarray(np.linalg.solve(np.eye(late.sum()) - D[0, ny:, nu:], C[0, ny:] @ x), float))
-    substeps = 24  # the error of a step is well below the rounding that ``validate`` allows for
+
+    def arriving(at: float) -> Array:
+        return np.array([past.at(at - Ti)[i] for i, Ti in enumerate(T)])
+
     for k in range(whole):
-        start, h = float(edges[k]), float(edges[k + 1] - edges[k]) / substeps
-        states = [x]
+        start, stop = float(edges[k]), float(edges[k + 1])
 
-        def arriving(at: float) -> Array:
-            return np.array([past.at(at - Ti)[i] for i, Ti in enumerate(T)])
+        def rates(at: float, flat: Array, k: int = k) -> Array:
+            return np.asarray(np.ravel(At.at(k, at) @ flat.reshape(x.shape) + Bt.at(k, at) @ arriving(at)))
 
-        for j in range(substeps):
-            at = start + j * h
-            w0, w1, w2 = arriving(at), arriving(at + h / 2), arriving(at + h)
-            A0, A1, A2 = (At.at(k, ti) for ti in (at, at + h / 2, at + h))
-            B0, B1, B2 = (Bt.at(k, ti) for ti in (at, at + h / 2, at + h))
-            k1 = A0 @ x + B0 @ w0
-            k2 = A1 @ (x + h / 2 * k1) + B1 @ w1
-            k3 = A1 @ (x + h / 2 * k2) + B1 @ w1
-            k4 = A2 @ (x + h * k3) + B2 @ w2
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            states.append(x)
-        here = np.array(states)
-        ticks = np.asarray(start + h * np.arange(substeps + 1), float)
-        inside = (t >= start - 1e-12) & (t <= edges[k + 1] + 1e-12)
-        out[inside] = _between(ticks, here, t[inside])
-        nodes = np.asarray(start + NODES * (edges[k + 1] - start), float)
-        pairs = zip(nodes, _between(ticks, here, nodes), strict=True)
-        signals = np.stack([Ct.at(k, float(ti)) @ xi + Dt.at(k, float(ti)) @ arriving(float(ti)) for ti, xi in pairs])
-        past.add(start, float(edges[k + 1] - start), signals)
+        found = solve_ivp(rates, (start, stop), np.ravel(x), method="DOP853", first_step=stop - start, dense_output=True, **FINE)
+        inside = np.flatnonzero((t >= start - 1e-12) & (t <= stop + 1e-12))
+        if inside.size:
+            out[inside] = found.sol(t[inside]).T.reshape(-1, *x.shape)
+        nodes = np.asarray(start + NODES * (stop - start), float)
+        pairs = zip(nodes, found.sol(nodes).T.reshape(-1, *x.shape), strict=True)
+        past.add(start, stop - start, np.stack([Ct.at(k, float(ti)) @ xi + Dt.at(k, float(ti)) @ arriving(float(ti)) for ti, xi in pairs]))
+        x = found.y[:, -1].reshape(x.shape)
     return out
-
-
-def segments(start: float, end: float, delays: list[float]) -> Array:
-    """(N + 1,) [s] edges of segments no longer than the shortest dead time.
-
-    A signal that is constant before the start has a kink there. It comes back after each dead time and after each sum of them, smoother by one
-    order each time; the first five are edges.
-    """
-    late = [sum(some) for count in range(1, 6) for some in combinations_with_replacement(delays, count)]
-    marks = np.unique([0.0, *(d for d in late if d < end - start), end - start])
-    marks = marks[np.concatenate(([True], np.diff(marks) > 1e-9 * (end - start)))]
-    pieces = [np.linspace(a, b, max(int(np.ceil((b - a) / min(delays) - 1e-9)), 1) + 1)[:-1] for a, b in pairwise(marks)]
-    return np.asarray(start + np.concatenate([*pieces, [end - start]]), float)
 
 
 class _Cubic:
@@ -90,45 +70,39 @@ class _Cubic:
         return np.asarray(np.tensordot(w, self.M[3 * k : 3 * k + 4], axes=1))
 
 
-def _between(ticks: Array, states: Array, t: Array) -> Array:
-    from scipy.interpolate import make_interp_spline
-
-    return np.asarray(make_interp_spline(ticks, states, k=5)(t))
-
-
 # --- sampled loops -----------------------------------------------------------------------------------------------
 
 
-def sampled_at_rest(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
-    """(N, nx) by powers of the discrete model of the loop; the base run is at rest."""
+def sampled_at_rest(e: Equations, base: Simulation, t: Array, directions: Array) -> Array:
+    """(N, nx[, k]) by powers of the discrete model of the loop; the base run is at rest."""
     opened, nx = sampled(open_system(e, t[:1], base.state(t[:1])), e.sample_time), e.nx
     A = close_wires(opened)[0][0]
-    command, sensed = _first_signals(e, base, direction)
-    x = np.zeros(opened.nx)
-    x[:nx] = direction
+    command, sensed = _first_signals(e, base, directions)
+    x = np.zeros((opened.nx, *directions.shape[1:]))
+    x[:nx] = directions
     for i, name in enumerate(opened.state_names[nx:], start=nx):  # samples in transit at the start
         point, _, channel = name.partition("[")
         j = opened.wire_names[opened.wires[point]].index(channel.partition("] ")[2])
         x[i] = sensed[j] if point == "force" else command[j]
-    out = np.empty((len(t), nx))
+    out = np.empty((len(t), *directions.shape))
     for k in range(len(t)):
         out[k] = x[:nx]
         x = A @ x
     return out
 
 
-def _first_signals(e: Equations, base: Simulation, direction: Array) -> tuple[Array, Array]:
-    """Command of the law (n,) and reading of the force sensor (6,) at the disturbed start, without dead time."""
+def _first_signals(e: Equations, base: Simulation, directions: Array) -> tuple[Array, Array]:
+    """Command of the law (n[, k]) and reading of the force sensor (6[, k]) at the disturbed start, without dead time."""
     system = open_system(e, base.t[:1], base.x[:1])
     keep = np.zeros(system.nw, bool)
     keep[system.wires[e.actuator]] = True
-    command = close_wires(system, keep)[2][0, system.ny :] @ direction
-    force = system.C[0, system.ny :][system.wires["force"]] @ direction if "force" in system.wires else np.zeros(6)
+    command = close_wires(system, keep)[2][0, system.ny :] @ directions
+    force = system.C[0, system.ny :][system.wires["force"] if "force" in system.wires else slice(0)] @ directions
     return command, force
 
 
-def sampled_along(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
-    """(N, nx) along a moving base run: the plant linearised at Gauss nodes within each sample, the law at the samples.
+def sampled_along(e: Equations, base: Simulation, t: Array, directions: Array) -> Array:
+    """(N, nx[, k]) along a moving base run: the plant linearised at Gauss nodes within each sample, the law at the samples.
 
     The order of events is that of ``sampled.run_sampled``: read, command, hold after the dead time, own states advanced with inputs held.
     """
@@ -144,8 +118,8 @@ def sampled_along(e: Equations, base: Simulation, t: Array, direction: Array) ->
     plant = np.array(e.plant_states, int)
     own = np.setdiff1d(np.arange(nx), plant)
     advance = own_states_step(e, start, base.x[0], T)
-    out = np.empty((len(t), nx))
-    x = direction.copy()
+    out = np.empty((len(t), *directions.shape))
+    x = directions.copy()
     sent: list[Array] = []
     seen = {0: sense[0] @ x}  # force at the edges, by index
     at = 0

@@ -27,6 +27,15 @@ FASTEST = 1e15  #: [1/s of any state] above this rate the solver would not finis
 NO_FORCE = 1e-9  #: [N, Nm] below this force a surface is not in contact
 
 
+MOST = {"joint": 100_000, "tool": 40_000}  #: evaluations of the equations that a run takes at most under laws of each space: about 20 s
+
+
+JACOBIAN = 4  #: evaluations that take about as long as one of the Jacobian
+
+
+HELD = 0.25  #: evaluations that take about as long as one of the plant alone, under a held command
+
+
 CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost, so that no short contact is missed
 
 
@@ -37,6 +46,7 @@ class Outcome(Enum):
     DIVERGED = "the motion diverged"
     REFUSED = "the law could not be evaluated"
     SOLVER = "the solver failed"
+    STOPPED = "the run was stopped"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +88,9 @@ class Run:
     options: dict[str, Any]
     path: DenseOutput
     events: list[Event]
+    end: float = np.inf  #: [s] where the run is to end
+    most: int = MOST["joint"]  #: evaluations allowed
+    spent: float = 0.0  #: evaluations so far
     outcome: Outcome = Outcome.FINISHED
     message: str = Outcome.FINISHED.value
     refused: MfcError | None = None
@@ -91,30 +104,41 @@ class Run:
         return any(s.one_sided for s in self.equations.surfaces)
 
     def integrate(
-        self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False
+        self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False, cost: float = 1.0
     ) -> Array | None:
         """Integrates from start to end and adds to the path. Returns the final state, None where the run has stopped.
 
         ``short``: one of many short segments. These use explicit Runge-Kutta, since a multistep method would restart on each.
+        ``cost``: of the rates, in evaluations of the equations.
         """
+        self.spent += 1
+        if self.spent >= self.most:
+            self._give_up(start)
+            return None
+        if not np.isfinite(x).all():
+            self.stop(Outcome.DIVERGED, start, "the state is not finite")
+            return None
         options = dict(self.options)
         if short and options["method"] == "LSODA":
             options.update(method="DOP853" if options["rtol"] < 1e-8 else "RK45", first_step=end - start)
         if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
-            options["jac"] = jac
+            options["jac"] = self._counted(jac)
         if self.one_sided:
             options["max_step"] = CONTACT_STEP
 
         def solve(f: Callable[[float, Array], Array], options: dict[str, Any]) -> Any:
             with np.errstate(all="ignore"):
-                return solve_ivp(f, (start, end), x, dense_output=True, events=[self._far()], **options)
+                return solve_ivp(f, (start, end), x, dense_output=True, events=[self._far(), self._used_up()], **options)
 
         try:
-            found = solve(self._stopping(rates), options)
+            found = solve(self._stopping(rates, cost), options)
         except _Stop:  # perhaps only the trial step is too long: retry with a method that shortens it
-            found = solve(self._or_nan(rates), {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
+            found = solve(self._or_nan(rates, cost), {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
         self.events += self._contacts(found)
         self.path.add(float(found.t[-1]), found.sol)
+        if found.t_events is not None and found.t_events[1].size:
+            self._give_up(float(found.t[-1]))
+            return None
         if found.status == 1 or not np.isfinite(found.y).all():
             self.stop(Outcome.DIVERGED, float(found.t[-1]), f"position or velocity beyond {FAR:g}")
             return None
@@ -125,8 +149,9 @@ class Run:
         self.refused = None
         return np.asarray(found.y[:, -1])
 
-    def _stopping(self, rates: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
+    def _stopping(self, rates: Callable[[float, Array], Array], cost: float) -> Callable[[float, Array], Array]:
         def guarded(t: float, x: Array) -> Array:
+            self.spent += cost
             try:
                 return bounded(rates(t, x))
             except MfcError as why:
@@ -135,8 +160,9 @@ class Run:
 
         return guarded
 
-    def _or_nan(self, rates: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
+    def _or_nan(self, rates: Callable[[float, Array], Array], cost: float) -> Callable[[float, Array], Array]:
         def guarded(t: float, x: Array) -> Array:
+            self.spent += cost
             try:
                 return bounded(rates(t, x))
             except MfcError as why:
@@ -145,12 +171,35 @@ class Run:
 
         return guarded
 
+    def _counted(self, jac: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
+        def counted(t: float, x: Array) -> Array:
+            self.spent += JACOBIAN
+            return jac(t, x)
+
+        return counted
+
     def refuse(self, t: float, why: MfcError) -> None:
         """Stops the run where the law cannot be evaluated between two segments."""
         self.stop(Outcome.REFUSED, t, str(why))
 
     def stop(self, outcome: Outcome, t: float, why: str) -> None:
         self.outcome, self.message = outcome, f"{outcome.value} at t = {t:.4g} s: {why}"
+
+    def _give_up(self, t: float) -> None:
+        why = f"{self.most} evaluations of the equations are not enough to reach {self.end:g} s; max_evaluations= allows more"
+        self.stop(Outcome.STOPPED, t, why)
+
+    def _used_up(self) -> Any:
+        last = np.inf
+
+        def left(t: float, x: Array) -> float:
+            nonlocal last
+            if self.spent >= self.most:
+                last = min(last, t)  # a step ends here: solve_ivp finds its zero at this very time
+            return last - t
+
+        left.terminal = True  # type: ignore[attr-defined]  # solve_ivp reads it there
+        return left
 
     def _far(self) -> Any:
         watch = np.concatenate(

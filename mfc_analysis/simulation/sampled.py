@@ -12,7 +12,7 @@ from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.dual import Dual, Vector, value
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
-from mfc_analysis.simulation.run import Run
+from mfc_analysis.simulation.run import HELD, Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
     whole, rest = int(np.floor(delay / T + 1e-9)), 0.0
     rest = delay - whole * T if delay - whole * T > 1e-9 * T else 0.0
     run.arrived = Held(sent, start + delay, T)
-    count = int(np.ceil((end - start) / T - 1e-9))
+    count = max(int(np.ceil((end - start) / T - 1e-9)), 1)
     for k in range(count):
         t = start + k * T
         s = e.split(x)
@@ -70,7 +70,7 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
         for begin, stop, held in switches:
             if begin >= end - 1e-12:
                 break
-            moved = run.integrate(_held_rates(run, held), begin, min(stop, end), x, short=True)
+            moved = run.integrate(_held_rates(run, held), begin, min(stop, end), x, short=True, cost=HELD)
             if moved is None:
                 return
             x = moved

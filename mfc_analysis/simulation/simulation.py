@@ -17,16 +17,17 @@ from numpy.typing import ArrayLike
 from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, warn_near_singular
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.dynamics.operating_point import OperatingPoint
-from mfc_analysis.errors import BadArgument, MfcError
+from mfc_analysis.errors import BadArgument, MfcError, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
 from mfc_analysis.simulation.delayed import run_with_dead_time
-from mfc_analysis.simulation.run import FAR, DenseOutput, Disturbance, Event, Outcome, Run, bounded
+from mfc_analysis.simulation.run import FAR, MOST, DenseOutput, Disturbance, Event, Outcome, Run, bounded
 from mfc_analysis.simulation.sampled import run_sampled
 
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
 SHORTEST = 1e-9  #: [s] shortest run; a shorter one raises BadArgument
+GRAIN = 1e-12  #: of a time (of 1 s where it is earlier), below which two times of a run count as one
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,7 @@ class Simulation:
     message: str  #: what happened and when, a sentence
     state_names: tuple[str, ...]
     path: DenseOutput = field(repr=False)
+    evaluations: int = 0  #: of the equations: the work of the run, as ``max_evaluations`` counts it
     arrived: Callable[[float], Array] | None = field(default=None, repr=False)  #: with dead time or sampling: t -> (n,) command at the joints
 
     @property
@@ -95,13 +97,16 @@ def simulate(
     rtol: float = 1e-6,
     atol: float = 1e-9,
     method: str = "LSODA",
+    max_evaluations: int | None = None,
 ) -> Simulation:
     """Implements ``ClosedLoop.simulate`` from the state ``x0`` (nx,). Raises BadArgument for bad input, and any error of the law at the start."""
     asked = asked_times(times)
     checks.choice("method", method, METHODS)
     options = {"rtol": checks.number("rtol", rtol, low=1e-14), "atol": checks.number("atol", atol, low=1e-16), "method": method}
     e = equations
-    run = Run(e, _disturbance(disturbance, e.n), options, DenseOutput(float(asked[0]), x0), [])
+    _refuse_what_no_time_resolves(e, float(np.abs(asked).max()))
+    most = MOST[e.law.space] if max_evaluations is None else checks.whole("max_evaluations", max_evaluations, 1, 10**12)
+    run = Run(e, _disturbance(disturbance, e.n), options, DenseOutput(float(asked[0]), x0), [], float(asked[-1]), most)
     moving = np.concatenate([x0[where] for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
     if np.abs(moving).max() > FAR:
         raise BadArgument("the start", float(np.abs(moving).max()), f"positions and velocities up to {FAR:g}")
@@ -112,6 +117,14 @@ def simulate(
     found = _gathered(run, asked)
     warn_near_singular(e, found.t, found.q)
     return found
+
+
+def _refuse_what_no_time_resolves(e: Equations, latest: float) -> None:
+    least = GRAIN * max(1.0, latest)
+    for name in ("sample_time",) if e.sample_time else ("delay", "force_delay"):
+        grain = getattr(e.hardware, name)
+        if grain and grain < least:
+            raise Unsupported(f"hardware.{name}", grain, f"{least:g} s or more in a simulation up to {latest:g} s")
 
 
 def _run(run: Run, asked: Array, x0: Array) -> None:
@@ -158,7 +171,7 @@ def _gathered(run: Run, asked: Array) -> Simulation:
     events = tuple(sorted(run.events, key=lambda event: event.time))
     return Simulation(
         t, x, q, v, tau, command, np.array(value(flow.error)), twist, np.array(value(flow.F_tip)), events,
-        run.outcome, run.message, e.state_names, run.path, run.arrived,
+        run.outcome, run.message, e.state_names, run.path, round(run.spent), run.arrived,
     )  # fmt: skip
 
 

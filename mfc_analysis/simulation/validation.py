@@ -2,21 +2,24 @@
 
 A base run starts at the operating point. Runs from disturbed starts are compared with the transition matrices of the loop
 linearised along the base run. If the linearisation is correct, the remainder shrinks with the square of the disturbance.
+The disturbances are those that the linear model predicts worst (``directions``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from mfc_analysis.analysis.floquet import accumulated
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.operating_point import on_reference
-from mfc_analysis.errors import MfcError
+from mfc_analysis.errors import MfcError, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.simulation.directions import Candidate, candidates, scaled_basis
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
 from mfc_analysis.simulation.simulation import Simulation, simulate
@@ -25,6 +28,9 @@ STEPS = 200
 MISFIT = 0.05  #: nrmse up to which the linear model is said to hold
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
 LARGEST = 3.0  #: [rad, m] largest disturbance tried
+WORK = 50  #: times the evaluations of the base run (one for each time at least), after which a disturbed run has failed
+CLOSE = 0.01  #: relative accuracy of the radius
+LOOSE = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,22 +38,24 @@ class Validation:
     """Accuracy of the linear model's prediction of the nonlinear loop from a disturbed start."""
 
     time: float  #: [s] length of the runs
-    size: float  #: [rad, m] of the disturbance of each joint
+    size: float  #: [rad, m] of the disturbance
     taylor_order: float  #: 2.0: the remainder shrinks with the square; inf: no remainder above rounding (the loop is linear)
-    nrmse: float  #: rms(nonlinear - linear) / rms(nonlinear) of the joint deviations, at ``size``
-    radius: float  #: [rad, m] largest size at which nrmse stays below 5 %; inf if it does up to 3
-    sizes: Array  #: (k,) the sizes that give ``taylor_order``
+    nrmse: float  #: rms(nonlinear - linear) / rms(nonlinear) of the joint deviations at ``size``; inf where the run did not reach its end
+    radius: float  #: [rad, m] largest size at which nrmse stays below 5 % in the worst direction found; inf if it does up to 3
+    direction: Array  #: (nx,) that direction: all runs start at x0 + size direction; the largest entry of the joint positions is 1
+    sizes: Array  #: (k,) the sizes that give ``taylor_order``: from ``size`` down, or from a quarter of ``radius`` where that is smaller
     remainders: Array  #: (k,) largest |nonlinear - linear| over the run
     t: Array  #: (N,) [s]
-    nonlinear: Array  #: (N, n) joint deviations of the nonlinear run at ``size``
+    nonlinear: Array  #: (N, n) joint deviations of the nonlinear run at ``size``; NaN where it did not reach its end
     linear: Array  #: (N, n) prediction of the linear model
     message: str = ""  #: why there are no metrics (NaN), where a run did not reach its end
 
     def __str__(self) -> str:
-        if self.message:
+        if np.isnan(self.nrmse):
             return f"not validated: {self.message}"
         reach = f"at least {LARGEST:g} rad" if np.isinf(self.radius) else f"{self.radius:.3g} rad"
-        return f"Taylor order {self.taylor_order:.3f}; misfit {100 * self.nrmse:.3g} % at {self.size:g} rad; below 5 % up to {reach}"
+        missed = f"no misfit at {self.size:g} rad ({self.message})" if self.message else f"misfit {100 * self.nrmse:.3g} % at {self.size:g} rad"
+        return f"Taylor order {self.taylor_order:.3f}; {missed}; below 5 % up to {reach} in the worst direction"
 
     __repr__ = __str__
 
@@ -64,57 +72,67 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     t = _grid(e, time)
     base = simulate(e, t, x0, method="LSODA", **TIGHT)
     if base.diverged:
-        return _nothing(time, size, e.n, base.message)
-    direction = np.zeros(e.nx)
-    q = e.parts["q"].where
-    direction[q] = np.random.default_rng(seed).uniform(-1.0, 1.0, e.n)
-    direction[q] /= np.abs(direction[q]).max()
-    if "theta" in e.parts:  # motor and link move together
-        direction[e.parts["theta"].where] = direction[q]
-    predicted = _predict(e, base, t, direction)
-    stopped: list[str] = []
+        return _nothing(e, time, size, base.message)
+    predicted, q = _predict(e, base, t), e.parts["q"].where
+    if not np.isfinite(predicted).all():
+        return _nothing(e, time, size, "the response of the linear model overflows")
+    stopped, most = "", WORK * (base.evaluations + len(t))
 
-    def compare(size: float, tight: bool = True) -> tuple[Array, Array] | None:
+    def compare(direction: Array, size: float, options: dict[str, float]) -> tuple[Array, Array] | None:
+        nonlocal stopped
         try:
-            run = simulate(e, t, x0 + size * direction, method="LSODA", **(TIGHT if tight else {"rtol": 1e-7, "atol": 1e-10}))
+            run = simulate(e, t, x0 + size * direction, method="LSODA", max_evaluations=most, **options)
         except MfcError as why:
-            stopped.append(str(why))
+            stopped = str(why)
             return None
         if run.diverged:
-            stopped.append(run.message)
+            stopped = run.message
             return None
-        return run.x[:, q] - base.x[:, q], size * predicted[:, q]
+        return run.x[:, q] - base.x[:, q], size * (predicted[:, q] @ direction)
 
-    sizes = size * np.array([1.0, 0.5, 0.25])
-    pairs = [compare(s) for s in sizes]
+    def nrmse(direction: Array, size: float) -> float:
+        pair = compare(direction, size, LOOSE)
+        return np.inf if pair is None else misfit(*pair)
+
+    radius, direction = _worst(nrmse, candidates(e, base, scaled_basis(e, predicted), seed), 1e-6 * size)
+    here = compare(direction, size, TIGHT)
+    if here is None and radius == 0:
+        return _nothing(e, time, size, stopped)
+    largest = min(size, 0.25 * radius) if radius > 0 else size
+    sizes = largest * np.array([1.0, 0.5, 0.25])
+    pairs = [here if s == size else compare(direction, s, TIGHT) for s in sizes]
     remainders = np.array([np.nan if p is None else float(np.abs(p[0] - p[1]).max()) for p in pairs])
     order = _order(sizes, remainders, 1e-8 * sizes + ROUNDED * TIGHT["rtol"] * float(np.abs(base.x[:, q]).max()))
-    here = pairs[0]
     if here is None:
-        return _nothing(time, size, e.n, stopped[0] if stopped else "the disturbed run stopped")
-    return Validation(time, size, order, misfit(*here), _radius(lambda s: compare(s, tight=False), size), sizes, remainders, t, *here)
+        linear = size * (predicted[:, q] @ direction)
+        return Validation(time, size, order, np.inf, radius, direction, sizes, remainders, t, np.full(linear.shape, np.nan), linear, stopped)
+    return Validation(time, size, order, misfit(*here), radius, direction, sizes, remainders, t, *here)
 
 
 def misfit(nonlinear: Array, linear: Array) -> float:
     """rms(nonlinear - linear) / rms(nonlinear)."""
-    return float(np.sqrt(np.mean((nonlinear - linear) ** 2) / max(float(np.mean(nonlinear**2)), 1e-300)))
+    with np.errstate(over="ignore"):
+        return float(np.sqrt(np.mean((nonlinear - linear) ** 2) / max(float(np.mean(nonlinear**2)), 1e-300)))
 
 
 def _grid(e: Equations, time: float) -> Array:
-    T = e.sample_time
+    T, least = e.sample_time, 2
     if not T:
         return np.linspace(0.0, time, STEPS + 1)
-    return np.asarray(float(T) * np.arange(max(round(time / float(T)), 2) + 1), float)
+    if not np.isfinite(least * T):
+        raise Unsupported("hardware.sample_time", T, f"a sample time of which {least} are a finite time")
+    return np.asarray(T * np.arange(max(round(time / T), least) + 1), float)
 
 
-def _predict(e: Equations, base: Simulation, t: Array, direction: Array) -> Array:
-    """(N, nx) the linear deviation from a unit disturbance, along the base run."""
+def _predict(e: Equations, base: Simulation, t: Array) -> Array:
+    """(N, nx, nx) the linear deviation along the base run, from every state at the start."""
+    every = np.eye(e.nx)
     if e.sample_time:
         at_rest = np.abs(base.x - base.x[0]).max() <= 1e-9 * (1 + np.abs(base.x[0]).max())
-        return sampled_at_rest(e, base, t, direction) if at_rest else sampled_along(e, base, t, direction)
+        return sampled_at_rest(e, base, t, every) if at_rest else sampled_along(e, base, t, every)
     if e.delayed:
-        return delayed(e, base, t, direction)
-    return accumulated(transitions_along(e, base, t)) @ direction
+        return delayed(e, base, t, every)
+    return accumulated(transitions_along(e, base, t))
 
 
 def _order(sizes: Array, remainders: Array, floor: Array) -> float:
@@ -126,30 +144,46 @@ def _order(sizes: Array, remainders: Array, floor: Array) -> float:
     return float(np.log2(remainders[0] / remainders[1] if remainders[2] <= 3 * floor[2] else remainders[1] / remainders[2]))
 
 
-def _radius(compare: Callable[[float], tuple[Array, Array] | None], size: float) -> float:
-    def holds(s: float) -> bool:
-        pair = compare(s)
-        return pair is not None and misfit(*pair) < MISFIT
+def _worst(nrmse: Callable[[Array, float], float], tried: list[Candidate], least: float) -> tuple[float, Array]:
+    """The smallest radius of the candidates [rad, m] and its direction. Each takes one run at the smallest radius so far, more if it fails there."""
+    direction = tried[0].direction
+    radius = _radius(partial(nrmse, direction), MISFIT * tried[0].reach, least)
+    for candidate in tried[1:]:
+        size = min(radius, LARGEST)
+        found = nrmse(candidate.direction, size) if size > 0 else 0.0
+        if found > MISFIT * (1 + CLOSE):
+            direction = candidate.direction
+            radius = _radius(partial(nrmse, direction), size * MISFIT / found, least)
+    return radius, direction
 
-    low = size
-    while not holds(low):
-        low /= 4
-        if low < 1e-6 * size:
+
+def _radius(nrmse: Callable[[float], float], guess: float, least: float) -> float:
+    """Largest size at which ``nrmse`` is below ``MISFIT``, to ``CLOSE``; inf if it is up to ``LARGEST``, 0 if it is not even at ``least``.
+
+    The misfit grows about in proportion to the size, so the next size tried is where it would be ``MISFIT``.
+    """
+    low, high, size = 0.0, np.inf, float(np.clip(guess, least, LARGEST))
+    while high > (1 + CLOSE) * low:
+        found = nrmse(size)
+        if found < MISFIT:
+            low = size
+            if low >= LARGEST:
+                return np.inf
+        elif size <= least:
             return 0.0
-    high = low
-    while high < LARGEST:
-        high = min(2 * high, LARGEST)
-        if not holds(high):
-            break
-        low = high
-    if low >= LARGEST:
-        return float("inf")
-    for _ in range(6):
-        middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if holds(middle) else (low, middle)
+        else:
+            high = size
+        step = size * float(np.clip(MISFIT / max(found, 1e-300), 0.25, 4.0))
+        if high == np.inf:
+            size = min(max(step, (1 + CLOSE) * low), LARGEST)
+        elif low == 0:
+            size = max(min(step, (1 - CLOSE) * high), least)
+        else:
+            size = step if (1 + CLOSE / 4) * low < step < (1 - CLOSE / 4) * high else float(np.sqrt(low * high))
     return low
 
 
-def _nothing(time: float, size: float, n: int, why: str) -> Validation:
-    nan = float("nan")
-    return Validation(time, size, nan, nan, 0.0, np.zeros(0), np.zeros(0), np.zeros(1), np.full((1, n), nan), np.full((1, n), nan), why)
+def _nothing(e: Equations, time: float, size: float, why: str) -> Validation:
+    nan, n = float("nan"), e.n
+    none, empty = np.full((1, n), nan), np.zeros(0)
+    return Validation(time, size, nan, nan, 0.0, np.full(e.nx, nan), empty, empty, np.zeros(1), none, none, why)

@@ -11,8 +11,9 @@ from numpy.testing import assert_allclose
 from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.errors import Unsupported
 from mfc_analysis.loop import ClosedLoop
-from mfc_analysis.simulation.delayed import NODES, History
+from mfc_analysis.simulation.delayed import NODES, History, segments
 from mfc_analysis.trajectories import Hold, Sinusoid
 
 JOINT = robots.single_joint()
@@ -104,3 +105,27 @@ def test_a_dead_time_that_vanishes_leaves_the_run_without_it() -> None:
         for d in (4e-3, 2e-3)
     ]
     assert abs(np.log2(gaps[0] / gaps[1]) - 1.0) < 0.05  # of first order in the dead time
+
+
+def test_the_kinks_of_two_dead_times_and_of_their_sums_are_ends_of_segments() -> None:
+    found = list(segments(2.0, 3.0, [0.11, 0.3]))
+    edges = np.array([found[0][0], *(stop for _, stop in found)])
+    assert [begin for begin, _ in found[1:]] == edges[1:-1].tolist()
+    assert edges[0] == 2.0 and edges[-1] == 3.0 and np.diff(edges).max() <= 0.11 + 1e-12 and np.diff(edges).min() > 1e-9
+    for kink in (0.11, 0.22, 0.3, 0.41, 0.6, 0.71):
+        assert np.abs(edges - 2.0 - kink).min() < 1e-12
+
+
+@pytest.mark.parametrize("delay", [5.0, 1e20, 1e308])
+def test_a_dead_time_longer_than_the_run_leaves_the_command_of_the_start(delay: float) -> None:
+    k = 4.0
+    sim = ClosedLoop(JOINT, L.VelocityP(k), Hold([0.3]), hardware=Hardware(delay=delay)).simulate(np.linspace(0, 1, 5), 0.1)
+    assert_allclose(sim.error[:, 0], 0.1 * (1 - k * sim.t), atol=1e-9)
+
+
+@pytest.mark.parametrize("hardware", [{"delay": 1e-30}, {"delay": 5e-324}, {"delay": 1e-13}, {"sample_time": 1e-30}], ids=str)
+def test_a_dead_time_that_the_times_of_the_run_cannot_tell_apart_is_refused(hardware: dict) -> None:
+    loop = ClosedLoop(JOINT, L.VelocityP(4.0), Hold([0.3]), hardware=Hardware(**hardware))
+    with pytest.raises(Unsupported) as why:
+        loop.simulate(1.0)
+    assert why.value.argument == f"hardware.{next(iter(hardware))}"

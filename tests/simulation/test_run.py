@@ -14,7 +14,7 @@ from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
-from mfc_analysis.simulation.run import FAR, FASTEST, DenseOutput, Outcome, Run, bounded
+from mfc_analysis.simulation.run import FAR, FASTEST, MOST, DenseOutput, Outcome, Run, bounded
 from mfc_analysis.trajectories import Hold
 from tests.conftest import moving, plant
 
@@ -71,6 +71,27 @@ def test_a_run_that_diverges_stops_keeps_what_it_has_and_says_when(hardware: Har
     if hardware is None:  # v = 0.1 sqrt(50) sinh(sqrt(50) t) reaches 1e4
         assert_allclose(sim.end, np.arcsinh(1e4 / (0.1 * np.sqrt(50))) / np.sqrt(50), atol=1e-3)
     assert sim.message in str(sim)
+
+
+@pytest.mark.parametrize("hardware", [None, Hardware(delay=1e-4), Hardware(sample_time=1e-4)], ids=["ideal", "delay", "sampled"])
+def test_a_run_stops_at_its_limit_on_work_keeps_what_it_has_and_says_how_far_it_came(hardware: Hardware | None) -> None:
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"), hardware=hardware)
+    times = np.linspace(0, 30.0, 3001)
+    sim = loop.simulate(times, 0.1, max_evaluations=600)
+    assert sim.diverged and sim.outcome is Outcome.STOPPED and 600 <= sim.evaluations < 700
+    for said in (f"at t = {sim.end:.4g} s", "600 evaluations", "30 s", "max_evaluations"):
+        assert said in sim.message
+    assert 0 < sim.end < 30.0 and np.isfinite(sim.x).all()
+    short = loop.simulate([0.0, 0.5 * sim.end, sim.end], 0.1, max_evaluations=2000)
+    assert not short.diverged
+    assert_allclose(sim.state([0.5 * sim.end, sim.end]), short.x[1:], atol=1e-4)
+
+
+def test_a_run_with_a_dead_time_of_a_microsecond_ends_although_nobody_sets_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(MOST, "joint", 2000)  # 100 000 take about 20 s
+    loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"), hardware=Hardware(delay=1e-6))
+    sim = loop.simulate(1.0)
+    assert sim.outcome is Outcome.STOPPED and 1e-4 < sim.end < 1e-2
 
 
 def test_a_disturbance_that_stops_being_a_number_ends_the_run_in_words() -> None:

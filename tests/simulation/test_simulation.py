@@ -131,7 +131,8 @@ def test_an_impossible_start_is_an_error_not_an_outcome() -> None:
     ({"times": "long"}, "times"), ({"times": [1.0, 0.5]}, "times"), ({"x": [1.0]}, "x"),
     ({"disturbance": [1.0, 2.0, 3.0]}, "disturbance"), ({"disturbance": np.nan}, "disturbance"),
     ({"disturbance": lambda t: [1.0, 2.0, 3.0]}, "disturbance"),
-    ({"disturbance": lambda t: np.nan}, "disturbance"), ({"rtol": 0.0}, "rtol"), ({"atol": 1e-300}, "atol"), ({"method": "Euler"}, "method"),
+    ({"disturbance": lambda t: np.nan}, "disturbance"), ({"rtol": 0.0}, "rtol"), ({"max_evaluations": 0}, "max_evaluations"),
+    ({"max_evaluations": 1e5}, "max_evaluations"), ({"atol": 1e-300}, "atol"), ({"method": "Euler"}, "method"),
 ])  # fmt: skip
 def test_what_a_run_cannot_take_is_refused_by_name(given: dict, argument: str) -> None:
     loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import mfc_analysis as mfc
 from mfc_analysis.errors import BadArgument
@@ -28,16 +29,16 @@ def test_the_remainder_shrinks_with_the_square_on_a_moving_path_with_a_wrong_mod
     loop = mfc.ClosedLoop(UR5.with_payload(2.0), law, MOVING, controller_model=UR5, hardware=mfc.Hardware(**hardware))
     found = loop.validate(time=0.3)
     assert abs(found.taylor_order - 2.0) < 0.05
-    assert found.nrmse < 0.01
-    assert found.radius > 0.1
+    assert found.nrmse < 0.02
+    assert found.radius > 0.02
 
 
 def test_a_linearisation_wrong_by_a_tenth_of_a_percent_shows_as_first_order(monkeypatch):
     loop = mfc.ClosedLoop(UR5, mfc.laws.JointPID(400, 200, 60), mfc.trajectories.Hold(Q))
-    assert abs(loop.validate(time=0.3, size=1e-3).taylor_order - 2.0) < 0.05
+    assert abs(loop.validate(time=0.3, size=1e-4).taylor_order - 2.0) < 0.05
     right = validation.transitions_along
     monkeypatch.setattr(validation, "transitions_along", lambda *along: (1 + 1e-3 / 200) * right(*along))
-    assert abs(loop.validate(time=0.3, size=1e-3).taylor_order - 1.0) < 0.2
+    assert abs(loop.validate(time=0.3, size=1e-4).taylor_order - 1.0) < 0.2
 
 
 def test_a_linear_loop_has_no_remainder():
@@ -48,11 +49,87 @@ def test_a_linear_loop_has_no_remainder():
     assert found.nrmse < 1e-6
 
 
+def shifted(loop, found, direction, size):
+    """The joint deviations of the nonlinear run from a start disturbed by ``size * direction``."""
+    rest = loop.linearize([0.0], coordinates="state").point.x[0]
+    runs = [loop.simulate(found.t, x=x, rtol=1e-9, atol=1e-12) for x in (rest, rest + size * direction)]
+    return runs[1].q - runs[0].q if runs[1].t.size == found.t.size else np.full((found.t.size, loop.robot.n), np.inf)
+
+
 def test_beyond_the_radius_the_misfit_is_above_five_percent_and_within_it_below():
     loop = mfc.ClosedLoop(UR5, mfc.laws.JointPID(400, 200, 60), mfc.trajectories.Hold(Q))
-    radius = loop.validate(time=0.3).radius
-    assert 0 < radius < 3
-    assert loop.validate(time=0.3, size=0.95 * radius).nrmse < 0.05 < loop.validate(time=0.3, size=1.1 * radius).nrmse
+    found = loop.validate(time=0.3)
+    assert 0 < found.radius < 3
+    assert loop.validate(time=0.3, size=0.97 * found.radius).nrmse < 0.05 < loop.validate(time=0.3, size=1.03 * found.radius).nrmse
+    for part in (0.97, 1.03):
+        s = part * found.radius
+        nonlinear, linear = shifted(loop, found, found.direction, s), found.linear * s / found.size
+        assert (validation.misfit(nonlinear, linear) < 0.05) == (part < 1)
+
+
+POSES = {
+    "panda": [0.3, -0.4, 0.4, -1.8, -0.5, 1.9, 0.4],
+    "ur10": [0.3, -0.9, 0.7, 1.1, -0.5, 0.9],
+    "kinova": [0.3, 2.6, 2.0, 1.1, 2.5, 0.9],
+}
+
+
+def loop_on(name, equation):
+    """9.8, 9.10 with a wrong model, 9.16, or 9.23 on a wall, on an arm of the catalogue in a generic pose."""
+    robot, q, L = mfc.robots.load(name), np.array(POSES[name]), mfc.laws
+    M, hold = np.diag(robot.mass(q)), mfc.trajectories.Hold(q)
+    if equation == "9.8":
+        return mfc.ClosedLoop(robot, L.JointPID(100 * M, 200 * M, 20 * M), hold)
+    if equation == "9.10":
+        return mfc.ClosedLoop(robot.with_payload(2.0), L.ComputedTorque(100, 100, 20), hold, controller_model=robot)
+    if equation == "9.16":
+        return mfc.ClosedLoop(robot, L.TaskComputedTorque(100, 100, 20, null_damping=5.0 if robot.n > 6 else 0), hold)
+    wall = mfc.Environment(1e4, 50.0, axes="z", preload=20.0)
+    return mfc.ClosedLoop(robot, L.DampedForcePI([0, 0, 20, 0, 0, 0], 0.5, 2.0, [60, 60, 60, 5, 5, 5]), hold, environment=wall)
+
+
+@pytest.mark.parametrize("equation", ["9.8", "9.10", "9.16", "9.23"])
+@pytest.mark.parametrize("name", POSES)
+def test_the_radius_is_that_of_the_worst_direction_whatever_the_seed(name, equation):
+    """Along one random direction it varied by a factor of ten between seeds. No random disturbance of the joints, and none near the
+    direction found, fails at a smaller size; two seeds agree to 4 % (1 % each from the search for the size, the rest from equal maxima)."""
+    loop = loop_on(name, equation)
+    found, again = (loop.validate(time=0.05, seed=seed) for seed in (0, 1))
+    assert again.radius == pytest.approx(found.radius, rel=0.04)
+    assert abs(found.taylor_order - 2.0) < 0.05
+    n, rng = loop.robot.n, np.random.default_rng(3)
+    assert found.direction.shape == (loop.equations.nx,) and np.abs(found.direction[:n]).max() == pytest.approx(1.0)
+    A = loop.linearize([0.0], coordinates="state").A[0]
+    response = [expm(A * t)[:n] for t in found.t]
+    tried = [found.direction * (1 + 0.3 * rng.uniform(-1, 0, loop.equations.nx)) for _ in range(2)]
+    tried += [np.concatenate([rng.uniform(-1, 1, n), np.zeros(loop.equations.nx - n)]) for _ in range(2)]
+    for direction in tried:
+        direction /= np.abs(direction[:n]).max()
+        s = 0.9 * found.radius
+        assert validation.misfit(shifted(loop, found, direction, s), s * np.array([P @ direction for P in response])) < 0.05
+
+
+def test_where_the_second_order_vanishes_the_radius_is_that_of_the_third():
+    """A pendulum that hangs: g = m g l sin q is odd about its rest point."""
+    loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.JointPID(3.0, None, 0.5), mfc.trajectories.Hold([-np.pi / 2]))
+    found = loop.validate(time=0.5)
+    assert abs(found.taylor_order - 3.0) < 0.05
+    assert loop.validate(time=0.5, size=0.97 * found.radius).nrmse < 0.05 < loop.validate(time=0.5, size=1.03 * found.radius).nrmse
+
+
+def test_a_torque_limit_ends_the_validity_of_the_linear_model():
+    """The second order does not see a limit. A slider under kp x + kd v is linear up to the limit, and its misfit jumps beyond."""
+    law, hold = mfc.laws.JointPID(100.0, None, 20.0), mfc.trajectories.Hold([0.0])
+    free, limited = (mfc.ClosedLoop(mfc.robots.slider(), law, hold, hardware=mfc.Hardware(torque_limit=limit)).validate(0.5) for limit in (None, 4.0))
+    assert free.radius == np.inf and 0.01 < limited.radius < 0.2
+    assert limited.taylor_order == np.inf  # well within the limit
+
+
+def test_a_size_at_which_the_run_diverges_leaves_the_order_and_the_radius():
+    loop = mfc.ClosedLoop(UR5, mfc.laws.JointPID(400, 200, 60), mfc.trajectories.Hold(Q))
+    found = loop.validate(time=0.1, size=1e5)
+    assert found.nrmse == np.inf and "up to 10000" in found.message and found.message in str(found)
+    assert abs(found.taylor_order - 2.0) < 0.2 and 0 < found.radius < 3 and np.isnan(found.nonlinear).all() and np.isfinite(found.linear).all()
 
 
 def test_a_base_run_that_does_not_end_says_why_there_are_no_figures():

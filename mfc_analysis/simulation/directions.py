@@ -1,0 +1,198 @@
+"""The disturbances that the linear model predicts worst, from the second-order response of the loop.
+
+To second order a disturbance c of size 1 moves the joints by ``first @ c + c @ second @ c``, so the misfit of the linear model grows with
+the size by rms(c @ second @ c) / rms(first @ c). Its largest values over a box of disturbances cost no simulation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.dynamics.jacobians import closed_matrix
+from mfc_analysis.errors import MfcError
+from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.dual import value
+from mfc_analysis.maths.zero_order_hold import zero_order_hold
+from mfc_analysis.simulation.simulation import Simulation
+
+STEPS, SAMPLES = 100, 25  #: steps of the second-order response, and at how many of them it is compared
+SHIFT = 1e-4  #: of each scaled state, for differences of the Jacobian
+STARTS = 16  #: random starts of the search, beside the singular directions and the joints
+MAXIMA, FLIPS = 2, 2  #: local maxima tried with both signs, and single entries of the first one reversed
+NOTHING = 1e-9  #: misfit for each unit of size that is rounding
+FAR = 1e60  #: [rad, m] response beyond which there is no second order
+SAME = 0.98  #: cosine of two directions that count as one
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A direction in which the linear model may fail first."""
+
+    direction: Array  #: (nx,)
+    reach: float  #: [rad, m] size at which the second order gives a misfit of 1; inf where it gives none
+
+
+def scaled_basis(e: Equations, predicted: Array) -> Array:
+    """(nx, k) the disturbances of size 1, one a column, those of the joints first.
+
+    A joint is disturbed by 1 rad (m), its motor with it; any other state by the largest value that it reaches in the linear model while a
+    joint disturbance of 1 rad (m) dies out (while the joints grow to 1, where it does not). ``predicted``: (N, nx, nx) from the start to
+    N times. Columns of states that stay at 0 are left out.
+    """
+    q = e.parts["q"].where
+    reached = np.abs(predicted[:, :, q]).max(axis=(0, 2))
+    scale = reached / max(float(reached[q].max()), 1.0)
+    scale[q] = 1.0
+    columns = np.diag(scale)
+    for link, motor in (("q", "theta"), ("v", "omega")):
+        if motor in e.parts:
+            columns[e.parts[motor].where] = columns[e.parts[link].where]
+    return np.asarray(columns[:, columns.any(axis=0)], float)
+
+
+def candidates(e: Equations, base: Simulation, basis: Array, seed: int) -> list[Candidate]:
+    """Directions in the box of the ``basis`` (some joint at 1, no entry beyond 1), the worst to second order first, with both signs.
+
+    Then the first with single entries reversed where this costs least, and the directions that reach a torque limit or leave a surface first.
+    """
+    n, k = e.n, basis.shape[1]
+    rng = np.random.default_rng(seed)
+    starts = [*np.eye(k)[:n], np.ones(k), *rng.uniform(-1.0, 1.0, (STARTS, k))]
+    try:
+        found = second_order(e, base, basis)
+    except MfcError:  # the law cannot be evaluated beside the run, or the response overflows
+        found = None
+    if found is None:
+        ranked = [(np.inf, _on_box(c, n)) for c in starts]
+    else:
+        singular = np.linalg.svd(found.second.reshape(-1, k), full_matrices=False)[2]
+        ranked = _distinct([found.maximum(_on_box(c, n), n) for c in [*singular[:n], *starts]])
+        ranked = [(float(np.exp(-found_at)), c) for found_at, c in ranked]
+    out = [(reach, sign * c) for reach, c in ranked[:MAXIMA] for sign in (1.0, -1.0)]
+    if found is not None:
+        first = ranked[0][1]
+        flipped = first * (1 - 2 * np.eye(k))
+        least = np.argsort(-found.ratios(flipped), kind="stable")
+        out += [(np.inf, sign * flipped[i]) for i in least[:FLIPS] for sign in (1.0, -1.0)]
+    out += [(np.inf, c) for c in _first_limits(e, base, basis)]
+    return [Candidate(basis @ c, reach) for reach, c in out]
+
+
+@dataclass(frozen=True, eq=False)
+class SecondOrder:
+    """Response of the joints to a disturbance c (k,) at all samples: ``first @ c`` (r,), and ``c @ second @ c`` beyond it."""
+
+    first: Array  #: (r, k)
+    second: Array  #: (r, k, k) symmetric
+
+    def ratios(self, c: Array) -> Array:
+        """log of the misfit for each unit of size, of disturbances (m, k): (m,)."""
+        square = ((self.second @ c.T) * c.T).sum(axis=1)
+        return np.asarray(0.5 * np.log(_ratio((square**2).sum(axis=0), ((self.first @ c.T) ** 2).sum(axis=0))))
+
+    def maximum(self, start: Array, joints: int) -> tuple[float, Array]:
+        """A local maximum in the box near ``start``, whose joint at 1 stays there, no single entry of which can be reversed with gain."""
+        from scipy.optimize import minimize
+
+        lead = int(np.argmax(np.abs(start[:joints])))
+        bounds = [(start[lead], start[lead]) if i == lead else (-1.0, 1.0) for i in range(start.size)]
+        c, reached = start, -np.inf
+        while True:
+            found = minimize(self._loss, c, jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": 60})
+            if not -found.fun > reached + 1e-6:
+                return reached, c
+            c, reached = np.asarray(found.x, float), float(-found.fun)
+            flipped = c * (1 - 2 * np.eye(c.size))
+            flipped[lead] = c
+            c = flipped[int(np.argmax(self.ratios(flipped)))]
+
+    def _loss(self, c: Array) -> tuple[float, Array]:
+        linear, row = self.first @ c, self.second @ c
+        square = row @ c
+        bottom = linear @ linear
+        ratio = _ratio(square @ square, bottom)
+        return -0.5 * float(np.log(ratio)), (linear @ self.first - 2 * (square @ row) / ratio) / bottom
+
+
+def second_order(e: Equations, base: Simulation, basis: Array) -> SecondOrder | None:
+    """The response along a base run to disturbances of the ``basis`` (nx, k); None where it overflows.
+
+    x'' of the rates by differences of the exact Jacobian, A held over each of ``STEPS`` steps. Dead time and sampling are left out: the
+    response only chooses directions. Raises MfcError where the law cannot be evaluated beside the run.
+    """
+    t = np.linspace(base.t[0], base.t[-1], STEPS + 1)
+    nx, k, q, every = e.nx, basis.shape[1], e.parts["q"].where, STEPS // SAMPLES
+    still = np.abs(base.x - base.x[0]).max() <= 1e-9 * (1 + np.abs(base.x[0]).max())
+    nodes = t[:1] if still else t[:-1:every]
+    scale = SHIFT * np.abs(basis).max(axis=1)
+    moved = np.flatnonzero(scale)
+    shifts = np.diag(scale)[moved]
+    around = base.state(nodes)[:, None, None] + np.stack([shifts, -shifts])
+    lose = any(s.one_sided for s in e.surfaces)
+    A = closed_matrix(e, np.repeat(nodes, 2 * moved.size), around.reshape(-1, nx), lose_contact=lose)
+    A = A.reshape(nodes.size, 2, moved.size, nx, nx)
+    H = np.zeros((nodes.size, nx, nx, nx))  # H[:, l, i, j] = d A_ij / d x_l
+    H[:, moved] = (A[:, 0] - A[:, 1]) / (2 * scale[moved, None, None])
+    Phi, Gamma = zero_order_hold(A.mean(axis=(1, 2)), np.broadcast_to(np.eye(nx), (nodes.size, nx, nx)), float(t[1]))
+    P, X, source = basis, np.zeros((nx, k * k)), _source(H[0], basis)
+    first, second = [P[q]], [np.zeros((e.n, k, k))]
+    with np.errstate(all="ignore"):
+        for step in range(STEPS):
+            node = 0 if still else step // every
+            P = Phi[node] @ P
+            before, source = source, _source(H[node], P)
+            X = Phi[node] @ X + Gamma[node] @ (0.5 * (before + source))
+            if (step + 1) % every == 0:
+                first.append(P[q])
+                second.append(X[q].reshape(-1, k, k))
+    linear, square = np.concatenate(first), np.concatenate(second)
+    if not max(np.abs(linear).max(), np.abs(square).max()) < FAR:
+        return None
+    return SecondOrder(linear, 0.5 * (square + np.swapaxes(square, 1, 2)))
+
+
+def _source(H: Array, P: Array) -> Array:
+    """(nx, k k) half the second derivative of the rates along each pair of columns of P."""
+    return np.asarray(0.5 * np.moveaxis(np.tensordot(P.T, H, axes=1) @ P, 1, 0).reshape(len(P), -1))
+
+
+def _first_limits(e: Equations, base: Simulation, basis: Array) -> list[Array]:
+    """The direction that reaches a torque limit first, and those that take the force off each one-sided surface first."""
+    limit, one_sided = e.joints.torque_limit, [i for i, s in enumerate(e.surfaces) if s.one_sided]
+    if limit is None and not one_sided:
+        return []
+    k = basis.shape[1]
+    moved = e.flow(np.full(2 * k, base.t[0]), base.x[0] + SHIFT * np.concatenate([basis.T, -basis.T]))
+    rows = []
+    if limit is not None:
+        command = value(moved.command)
+        slopes, mean = command[:k] - command[k:], command.mean(axis=0)
+        nearest = int(np.argmax(np.abs(slopes).sum(axis=0) / np.maximum(limit - np.abs(mean), 1e-300)))
+        rows.append(slopes[:, nearest] * (-1.0 if mean[nearest] < 0 else 1.0))
+    for i in one_sided:
+        force = value(moved.contact.forces[i])
+        rows += [-row for row in (force[:k] - force[k:]).T[list(e.surfaces[i].index)]]
+    return [_on_box(np.sign(row), e.n) for row in rows if np.any(row[: e.n])]
+
+
+def _on_box(c: Array, joints: int) -> Array:
+    """The direction (k,) with the largest joint at 1 or -1 and no entry beyond."""
+    size = np.abs(c[:joints]).max()
+    return np.clip(c / size, -1.0, 1.0) if size > 1e-6 * np.abs(c).max() else _on_box(c + np.abs(c).max() * (np.arange(c.size) == 0), joints)
+
+
+def _distinct(found: list[tuple[float, Array]]) -> list[tuple[float, Array]]:
+    """The largest first, without those that have the direction of a larger one, either sign."""
+    out: list[tuple[float, Array]] = []
+    for reached, c in sorted(found, key=lambda pair: -pair[0]):
+        if all(abs(c @ other) < SAME * np.linalg.norm(c) * np.linalg.norm(other) for _, other in out):
+            out.append((reached, c))
+    return out
+
+
+def _ratio(square: Array, linear: Array) -> Array:
+    """square / linear, at least the square of ``NOTHING``; ``linear`` is 1 or more, since a joint starts at 1."""
+    return np.maximum(square / linear, NOTHING**2)

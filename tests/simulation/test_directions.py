@@ -1,0 +1,97 @@
+"""The directions that the linear model predicts worst: the second-order response against runs, and the box of the disturbances."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mfc_analysis import laws as L, robots
+from mfc_analysis.analysis.floquet import accumulated
+from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.dynamics.operating_point import on_reference
+from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.simulation.directions import SAMPLES, SecondOrder, candidates, scaled_basis, second_order
+from mfc_analysis.simulation.orbit import TIGHT, transitions_along
+from mfc_analysis.simulation.simulation import Simulation
+from mfc_analysis.trajectories import Hold
+from tests.conftest import arm, moving, plant, regular_pose
+
+
+def based(loop: ClosedLoop, time: float) -> tuple[Simulation, np.ndarray]:
+    """The run from the operating point, and the basis of its disturbances."""
+    e = loop.equations
+    base = loop.simulate(np.linspace(0, time, 201), x=on_reference(e, np.zeros(1)).x[0], **TIGHT)
+    return base, scaled_basis(e, accumulated(transitions_along(e, base, base.t)))
+
+
+ROBOT = arm("ur5")
+LOOPS = {
+    "at rest": lambda: ClosedLoop(ROBOT, L.JointPID(300.0, 100.0, 50.0), Hold(regular_pose("ur5"))),
+    "on a moving path": lambda: ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r")),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_the_second_order_response_is_half_the_second_difference_of_runs(name: str) -> None:
+    loop, s = LOOPS[name](), 1e-3
+    base, basis = based(loop, 0.2)
+    found = second_order(loop.equations, base, basis)
+    assert isinstance(found, SecondOrder)
+    t = np.linspace(0, 0.2, SAMPLES + 1)
+    c = np.random.default_rng(0).uniform(-1, 1, basis.shape[1])
+    up, down, still = (loop.simulate(t, x=base.x[0] + sign * s * basis @ c, **TIGHT).q for sign in (1, -1, 0))
+    linear, square = (up - down) / (2 * s), (up + down - 2 * still) / (2 * s**2)
+    assert_allclose(found.first @ c, linear.ravel(), atol=2e-3 * np.abs(linear).max())  # A held over a hundredth of the run
+    assert_allclose(c @ found.second @ c, square.ravel(), atol=6e-2 * np.abs(square).max())  # the wrist's fast roots within a step
+    assert_allclose(found.ratios(c[None])[0], np.log(np.linalg.norm(square) / np.linalg.norm(linear)), atol=0.06)
+
+
+def test_a_maximum_stays_in_the_box_and_nothing_near_it_is_larger() -> None:
+    loop = LOOPS["at rest"]()
+    base, basis = based(loop, 0.2)
+    found = second_order(loop.equations, base, basis)
+    assert found is not None
+    k, rng = basis.shape[1], np.random.default_rng(1)
+    start = np.eye(k)[2]
+    reached, c = found.maximum(start, 6)
+    assert c[2] == 1.0 and np.abs(c).max() <= 1.0
+    near = np.clip(c + 0.3 * rng.normal(size=(200, k)), -1, 1)
+    near[:, 2] = 1.0
+    assert found.ratios(near).max() <= reached + 1e-9 and found.ratios(c[None])[0] == pytest.approx(reached)
+    assert reached > found.ratios(start[None])[0]
+
+
+def test_the_basis_moves_a_joint_by_one_and_any_other_state_by_what_a_joint_error_makes_of_it() -> None:
+    m, w = 2.0, 5.0
+    loop = ClosedLoop(robots.slider(m), L.JointPID(m * w**2, 0.0, 0.0), Hold([0.0]))  # x'' = -w^2 x: v reaches w, the integral 1 / w
+    _, basis = based(loop, 2 * np.pi / w)
+    assert_allclose(basis, np.diag([1.0, w, 1 / w]), rtol=1e-3)
+    elastic = Hardware(joint_stiffness=1e4, joint_damping=5.0, motor_inertia=0.5)
+    _, basis = based(ClosedLoop(robots.slider(m), L.JointPID(m * w**2, None, 20.0), Hold([0.0]), hardware=elastic), 0.3)
+    assert basis.shape == (4, 2) and basis[2].tolist() == basis[0].tolist() and basis[3].tolist() == basis[1].tolist()  # motor with its link
+    growing = ClosedLoop(robots.slider(m), L.JointPID(-m * w**2, None, None), Hold([0.0]))  # x'' = w^2 x: v reaches w x
+    _, basis = based(growing, 2.0)
+    assert_allclose(basis[1, 1], w, rtol=1e-2)
+
+
+def test_candidates_lie_in_the_box_the_worst_first_with_both_signs() -> None:
+    loop = LOOPS["at rest"]()
+    base, basis = based(loop, 0.2)
+    found = candidates(loop.equations, base, basis, 0)
+    assert_allclose(found[0].direction, -found[1].direction)
+    assert found[0].reach == found[1].reach <= min(c.reach for c in found)
+    for candidate in found:
+        c = np.linalg.solve(basis, candidate.direction)
+        assert np.abs(c[:6]).max() == pytest.approx(1.0) and np.abs(c).max() <= 1 + 1e-9
+
+
+def test_a_torque_limit_and_a_surface_that_can_be_left_give_their_own_candidates() -> None:
+    wall = Environment(1e3, 5.0, preload=5.0, one_sided=True)
+    law, hold = L.DampedForcePI([0, 0, 5.0, 0, 0, 0], 1.0, None, 20.0), Hold([0.0])
+    free, limited = (ClosedLoop(robots.slider(), law, hold, environment=wall, hardware=Hardware(torque_limit=limit)) for limit in (None, 20.0))
+    base, basis = based(limited, 0.2)
+    directions = [c.direction for c in candidates(limited.equations, base, basis, 0)]
+    assert len(directions) == len(candidates(free.equations, base, basis, 0)) + 1
+    assert directions[-1][0] < 0 and directions[-1][1] < 0  # away from the wall, fastest
