@@ -224,7 +224,17 @@ class ClosedLoop:
         return simulate(self.equations, asked, x0, disturbance, rtol=rtol, atol=atol, method=method, max_evaluations=max_evaluations)
 
     def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
-        """Compares linear prediction and nonlinear simulation over ``time`` [s], from the operating point disturbed by ``size`` [rad, m]."""
+        """Compares linear prediction and nonlinear simulation over ``time`` [s], from the operating point disturbed by ``size`` [rad, m].
+
+        The disturbance is the worst one found: the second-order response of the loop gives the directions in which the linear model fails
+        first, runs with both signs decide among them. It moves each joint by at most ``size``, one of them by ``size``, and each other state
+        (velocity, integral, filter, actuator) by at most what the linear model makes of a joint error of ``size``.
+
+        Args:
+            seed: of the random starts of the search, an integer >= 0; the radius depends on it by a few percent at most.
+
+        Raises BadArgument.
+        """
         from mfc_analysis.simulation.validation import validate
 
         return validate(self.equations, time, size, seed)

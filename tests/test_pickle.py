@@ -24,6 +24,7 @@ ROOMS = ("analysis", "gains", "linearization", "simulation", "requirements", "de
 #: what lives only while something is computed
 WITHIN = {
     "Bracket",
+    "Candidate",
     "Channels",
     "Crossings",
     "Delayed",
@@ -37,6 +38,7 @@ WITHIN = {
     "Replay",
     "Resolvent",
     "Run",
+    "SecondOrder",
     "SingularValues",
     "Split",
 }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from mfc_analysis.analysis.floquet import STEPS, Floquet, floquet as multipliers_of, gauss_nodes, period_map, shoot, transition_magnus
@@ -15,7 +17,7 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation.simulation import Simulation, simulate
 
-TIGHT = {"rtol": 1e-10, "atol": 1e-12}
+TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
 
 __all__ = ["Floquet", "floquet", "transitions_along"]
 

@@ -1,6 +1,11 @@
-"""Linear prediction of disturbed runs with dead time or sampling, for a validation. ``directions`` of the start state are (nx,), or (nx, k) at once."""
+"""Linear prediction of disturbed runs with dead time or sampling, for a validation.
+
+``directions`` of the start state are (nx,), or (nx, k) at once.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -15,7 +20,7 @@ from mfc_analysis.simulation.delayed import NODES, History, segments
 from mfc_analysis.simulation.sampled import own_states_step
 from mfc_analysis.simulation.simulation import Simulation
 
-FINE = {"rtol": 1e-11, "atol": 1e-13}  #: below the tolerance of the runs of ``validate``
+FINE: dict[str, Any] = {"rtol": 1e-11, "atol": 1e-13}  #: below the tolerance of the runs of ``validate``
 
 
 def delayed(e: Equations, base: Simulation, t: Array, directions: Array) -> Array:
@@ -45,7 +50,7 @@ def delayed(e: Equations, base: Simulation, t: Array, directions: Array) -> Arra
         start, stop = float(edges[k]), float(edges[k + 1])
 
         def rates(at: float, flat: Array, k: int = k) -> Array:
-            return np.asarray(np.ravel(At.at(k, at) @ flat.reshape(x.shape) + Bt.at(k, at) @ arriving(at)))
+            return np.asarray(np.ravel(At.at(k, at) @ flat.reshape(directions.shape) + Bt.at(k, at) @ arriving(at)))
 
         found = solve_ivp(rates, (start, stop), np.ravel(x), method="DOP853", first_step=stop - start, dense_output=True, **FINE)
         inside = np.flatnonzero((t >= start - 1e-12) & (t <= stop + 1e-12))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between
 LARGEST = 3.0  #: [rad, m] largest disturbance tried
 WORK = 50  #: times the evaluations of the base run (one for each time at least), after which a disturbed run has failed
 CLOSE = 0.01  #: relative accuracy of the radius
-LOOSE = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius
+LOOSE: dict[str, Any] = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
         return _nothing(e, time, size, "the response of the linear model overflows")
     stopped, most = "", WORK * (base.evaluations + len(t))
 
-    def compare(direction: Array, size: float, options: dict[str, float]) -> tuple[Array, Array] | None:
+    def compare(direction: Array, size: float, options: dict[str, Any]) -> tuple[Array, Array] | None:
         nonlocal stopped
         try:
             run = simulate(e, t, x0 + size * direction, method="LSODA", max_evaluations=most, **options)

@@ -107,7 +107,7 @@ def validity(sections: Iterable[Section]) -> Section | None:
         rows.append(
             (
                 section.loop,
-                Number(100 * float(found["nrmse"]), undefined="diverged"),
+                Number(100 * float(found["nrmse"]), infinite="diverged", undefined="diverged"),
                 Number(radius, infinite="all tested sizes"),
                 Number(float(found["taylor_order"]), infinite="exact", undefined="diverged"),
             )
@@ -118,7 +118,8 @@ def validity(sections: Iterable[Section]) -> Section | None:
         return None
     columns = (Column("Loop", numeric=False), Column("Model error at 0.01", "%"), Column("Valid up to", "rad, m"), Column("Taylor order"))
     table = Table(
-        "Linear model compared with nonlinear simulation, initial error 0.01 rad (m). The model is valid while its error is below 5 %.",
+        "Linear model compared with nonlinear simulation, initial error 0.01 rad (m) in the worst direction. The model is valid while its error is"
+        " below 5 %.",
         columns,
         tuple(rows),
     )

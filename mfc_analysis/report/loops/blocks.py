@@ -347,13 +347,13 @@ def validation_figure(view: View, found: Validation) -> Figure | None:
 def validation_words(found: Validation, unit: str = "rad") -> str:
     """The comparison with the nonlinear simulation as text."""
     if np.isnan(found.nrmse):
-        return "the nonlinear simulation from the operating point diverges, so no comparison is possible"
+        return f"no comparison with the nonlinear simulation from the operating point is possible: {found.message}"
     reach = (
         f"all tested initial errors (up to 3 {unit})"
         if np.isinf(found.radius)
         else "none of the tested initial errors"
         if found.radius <= 0
-        else f"initial errors up to {written(found.radius)} {unit}"
+        else f"initial errors up to {written(found.radius)} {unit} in the worst direction"
     )
     order = (
         "the remainder is rounding error (the loop is linear)"
@@ -361,4 +361,6 @@ def validation_words(found: Validation, unit: str = "rad") -> str:
         else f"the remainder has order {written(found.taylor_order)} in the initial error"
     )
     off = f"over {written(found.time, exact=True)} s the error of the linear model is {written(100 * found.nrmse)} %"
+    if np.isinf(found.nrmse):
+        off = f"from an initial error of {written(found.size, exact=True)} {unit} the nonlinear simulation does not reach its end ({found.message})"
     return f"{off}; it stays below 5 % for {reach}; {order}"

@@ -104,7 +104,9 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
         "largest_residual": float(np.abs(view.lin.residual).max(initial=0.0)),
     }
     if found is not None:
+        direction = dict(zip(view.loop.equations.state_names, found.direction, strict=True))
         out["validation"] = {"taylor_order": found.taylor_order, "nrmse": found.nrmse, "radius": found.radius, "size": found.size}
+        out["validation"]["direction"] = direction
     return out
 
 
@@ -434,10 +436,10 @@ def validity_section(view: View, found: Validation | None) -> Section:
         (
             Fact(
                 "Model error",
-                Number(100 * found.nrmse, "%", undefined="diverged"),
+                Number(100 * found.nrmse, "%", infinite="diverged", undefined="diverged"),
                 f"initial error {written(found.size, exact=True)} {unit}, over {written(found.time, exact=True)} s",
             ),
-            Fact("Valid up to", Number(found.radius, unit, infinite="all tested sizes"), "model error below 5 %"),
+            Fact("Valid up to", Number(found.radius, unit, infinite="all tested sizes"), "model error below 5 % in the worst direction"),
             Fact("Taylor order", Number(found.taylor_order, infinite="exact", undefined="diverged"), "2 confirms the linearisation"),
         )
     )
