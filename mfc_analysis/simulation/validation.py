@@ -23,13 +23,14 @@ from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation.directions import Candidate, candidates, scaled_basis
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
+from mfc_analysis.simulation.run import MOST, Outcome
 from mfc_analysis.simulation.simulation import Simulation, simulate
 
 STEPS = 200
 MISFIT = 0.05  #: nrmse up to which the linear model is said to hold
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
 LARGEST = 3.0  #: [rad, m] largest disturbance tried
-WORK = 50  #: times the evaluations of the base run (one for each time at least), after which a disturbed run has failed
+WORK = 2  #: times the evaluations that one run may take, for all runs of a validation
 CLOSE = 0.01  #: relative accuracy of the radius
 LOOSE: dict[str, Any] = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius
 
@@ -42,7 +43,7 @@ class Validation:
     size: float  #: [rad, m] of the disturbance
     taylor_order: float  #: 2.0: the remainder shrinks with the square; inf: no remainder above rounding (the loop is linear)
     nrmse: float  #: rms(nonlinear - linear) / rms(nonlinear) of the joint deviations at ``size``; inf where the run did not reach its end
-    radius: float  #: [rad, m] largest size at which nrmse stays below 5 % in the worst direction found; inf if it does up to 3
+    radius: float  #: [rad, m] largest size at which nrmse stays below 5 % in the worst direction found; inf if it does up to 3; NaN where the runs take too much work
     direction: Array  #: (nx,) that direction: all runs start at x0 + size direction; the largest entry of the joint positions is 1
     sizes: Array  #: (k,) the sizes that give ``taylor_order``: from ``size`` down, or from a quarter of ``radius`` where that is smaller
     remainders: Array  #: (k,) largest |nonlinear - linear| over the run
@@ -73,19 +74,22 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     t = _grid(e, time)
     base = simulate(e, t, x0, method="LSODA", **TIGHT)
     if base.diverged:
-        return _nothing(e, time, size, base.message)
+        return _nothing(e, time, size, base.message, np.nan if base.outcome is Outcome.STOPPED else 0.0)
     predicted, q = _predict(e, base, t), e.parts["q"].where
     if not np.isfinite(predicted).all():
         return _nothing(e, time, size, "the response of the linear model overflows")
-    stopped, most = "", WORK * (base.evaluations + len(t))
+    stopped, left = "", WORK * MOST[e.law.space]
 
     def compare(direction: Array, size: float, options: dict[str, Any]) -> tuple[Array, Array] | None:
-        nonlocal stopped
+        nonlocal stopped, left
         try:
-            run = simulate(e, t, x0 + size * direction, method="LSODA", max_evaluations=most, **options)
+            run = simulate(e, t, x0 + size * direction, method="LSODA", max_evaluations=left, **options)
         except MfcError as why:
             stopped = str(why)
             return None
+        left = max(left - run.evaluations, 1)
+        if run.outcome is Outcome.STOPPED:
+            raise _TooMuch(f"the runs take more than {WORK * MOST[e.law.space]} evaluations of the equations; a shorter time= takes fewer")
         if run.diverged:
             stopped = run.message
             return None
@@ -95,13 +99,16 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
         pair = compare(direction, size, LOOSE)
         return np.inf if pair is None else misfit(*pair)
 
-    radius, direction = _worst(nrmse, candidates(e, base, scaled_basis(e, predicted), seed), 1e-6 * size)
-    here = compare(direction, size, TIGHT)
+    try:
+        radius, direction = _worst(nrmse, candidates(e, base, scaled_basis(e, predicted), seed), 1e-6 * size)
+        here = compare(direction, size, TIGHT)
+        largest = min(size, 0.25 * radius) if radius > 0 else size
+        sizes = largest * np.array([1.0, 0.5, 0.25])
+        pairs = [here if s == size else compare(direction, s, TIGHT) for s in sizes]
+    except _TooMuch as why:
+        return _nothing(e, time, size, str(why), np.nan)
     if here is None and radius == 0:
         return _nothing(e, time, size, stopped)
-    largest = min(size, 0.25 * radius) if radius > 0 else size
-    sizes = largest * np.array([1.0, 0.5, 0.25])
-    pairs = [here if s == size else compare(direction, s, TIGHT) for s in sizes]
     remainders = np.array([np.nan if p is None else float(np.abs(p[0] - p[1]).max()) for p in pairs])
     order = _order(sizes, remainders, 1e-8 * sizes + ROUNDED * TIGHT["rtol"] * float(np.abs(base.x[:, q]).max()))
     if here is None:
@@ -184,7 +191,11 @@ def _radius(nrmse: Callable[[float], float], guess: float, least: float) -> floa
     return low
 
 
-def _nothing(e: Equations, time: float, size: float, why: str) -> Validation:
+def _nothing(e: Equations, time: float, size: float, why: str, radius: float = 0.0) -> Validation:
     nan, n = float("nan"), e.n
     none, empty = np.full((1, n), nan), np.zeros(0)
-    return Validation(time, size, nan, nan, 0.0, np.full(e.nx, nan), empty, empty, np.zeros(1), none, none, why)
+    return Validation(time, size, nan, nan, radius, np.full(e.nx, nan), empty, empty, np.zeros(1), none, none, why)
+
+
+class _TooMuch(Exception):
+    """The runs take too much work."""

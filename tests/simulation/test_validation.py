@@ -9,6 +9,7 @@ from scipy.linalg import expm
 import mfc_analysis as mfc
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.simulation import validation
+from mfc_analysis.simulation.run import MOST
 
 Q = np.array([0.0, -1.2, 1.5, -0.8, 1.57, 0.3])
 UR5 = mfc.robots.ur5()
@@ -123,6 +124,16 @@ def test_a_torque_limit_ends_the_validity_of_the_linear_model():
     free, limited = (mfc.ClosedLoop(mfc.robots.slider(), law, hold, hardware=mfc.Hardware(torque_limit=limit)).validate(0.5) for limit in (None, 4.0))
     assert free.radius == np.inf and 0.01 < limited.radius < 0.2
     assert limited.taylor_order == np.inf  # well within the limit
+
+
+def test_runs_that_take_too_much_work_give_no_figures_and_say_so(monkeypatch):
+    """A stiff wall: a radius from runs that were stopped would be the limit's, not the loop's."""
+    wall, law = mfc.Environment(1e8, 10.0, preload=5.0), mfc.laws.DampedForcePI([0, 0, 10, 0, 0, 0], 0.2, 0.5, 40.0)
+    loop = mfc.ClosedLoop(mfc.robots.slider(1.0, 2.0), law, mfc.trajectories.Hold([0.0]), environment=wall)
+    monkeypatch.setitem(MOST, "joint", 3000)
+    found = loop.validate(0.05)
+    assert np.isnan(found.radius) and np.isnan(found.nrmse) and np.isnan(found.direction).all()
+    assert "6000 evaluations" in found.message and found.message in str(found)
 
 
 def test_a_size_at_which_the_run_diverges_leaves_the_order_and_the_radius():

@@ -112,7 +112,7 @@ def validity(sections: Iterable[Section]) -> Section | None:
                 Number(float(found["taylor_order"]), infinite="exact", undefined="diverged"),
             )
         )
-        if nearest is None or radius < nearest[0]:
+        if radius >= 0 and (nearest is None or radius < nearest[0]):
             nearest = (radius, section.loop)
     if not rows or nearest is None:
         return None

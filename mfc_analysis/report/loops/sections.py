@@ -105,8 +105,13 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
     }
     if found is not None:
         direction = dict(zip(view.loop.equations.state_names, found.direction, strict=True))
-        out["validation"] = {"taylor_order": found.taylor_order, "nrmse": found.nrmse, "radius": found.radius, "size": found.size}
-        out["validation"]["direction"] = direction
+        out["validation"] = {
+            "taylor_order": found.taylor_order,
+            "nrmse": found.nrmse,
+            "radius": found.radius,
+            "size": found.size,
+            "direction": direction,
+        }
     return out
 
 
