@@ -27,7 +27,7 @@ FASTEST = 1e15  #: [1/s of any state] above this rate the solver would not finis
 NO_FORCE = 1e-9  #: [N, Nm] below this force a surface is not in contact
 
 
-MOST = {"joint": 100_000, "tool": 40_000}  #: evaluations of the equations that a run takes at most under laws of each space: about 20 s
+MOST = {"joint": 100_000, "tool": 40_000}  #: evaluations of the equations that a run takes at most, without surfaces, by the space of the law
 
 
 JACOBIAN = 4  #: evaluations that take about as long as one of the Jacobian
@@ -37,6 +37,11 @@ HELD = 0.25  #: evaluations that take about as long as one of the plant alone, u
 
 
 CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost, so that no short contact is missed
+
+
+def most_evaluations(e: Equations) -> int:
+    """The limit of a run for which none is given: about 20 s of work. Each surface takes about as long as the rest of the loop."""
+    return MOST[e.law.space] // (1 + len(e.surfaces))
 
 
 class Outcome(Enum):

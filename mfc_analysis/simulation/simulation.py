@@ -22,7 +22,7 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
 from mfc_analysis.simulation.delayed import run_with_dead_time
-from mfc_analysis.simulation.run import FAR, MOST, DenseOutput, Disturbance, Event, Outcome, Run, bounded
+from mfc_analysis.simulation.run import FAR, DenseOutput, Disturbance, Event, Outcome, Run, bounded, most_evaluations
 from mfc_analysis.simulation.sampled import run_sampled
 
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
@@ -105,7 +105,7 @@ def simulate(
     options = {"rtol": checks.number("rtol", rtol, low=1e-14), "atol": checks.number("atol", atol, low=1e-16), "method": method}
     e = equations
     _refuse_what_no_time_resolves(e, float(np.abs(asked).max()))
-    most = MOST[e.law.space] if max_evaluations is None else checks.whole("max_evaluations", max_evaluations, 1, 10**12)
+    most = most_evaluations(e) if max_evaluations is None else checks.whole("max_evaluations", max_evaluations, 1, 10**12)
     run = Run(e, _disturbance(disturbance, e.n), options, DenseOutput(float(asked[0]), x0), [], float(asked[-1]), most)
     moving = np.concatenate([x0[where] for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
     if np.abs(moving).max() > FAR:

@@ -23,7 +23,7 @@ from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation.directions import Candidate, candidates, scaled_basis
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
-from mfc_analysis.simulation.run import MOST, Outcome
+from mfc_analysis.simulation.run import Outcome, most_evaluations
 from mfc_analysis.simulation.simulation import Simulation, simulate
 
 STEPS = 200
@@ -43,7 +43,7 @@ class Validation:
     size: float  #: [rad, m] of the disturbance
     taylor_order: float  #: 2.0: the remainder shrinks with the square; inf: no remainder above rounding (the loop is linear)
     nrmse: float  #: rms(nonlinear - linear) / rms(nonlinear) of the joint deviations at ``size``; inf where the run did not reach its end
-    radius: float  #: [rad, m] largest size at which nrmse stays below 5 % in the worst direction found; inf if it does up to 3; NaN where the runs take too much work
+    radius: float  #: [rad, m] largest size with nrmse below 5 % in the worst direction found; inf: up to 3 or more; NaN: too much work
     direction: Array  #: (nx,) that direction: all runs start at x0 + size direction; the largest entry of the joint positions is 1
     sizes: Array  #: (k,) the sizes that give ``taylor_order``: from ``size`` down, or from a quarter of ``radius`` where that is smaller
     remainders: Array  #: (k,) largest |nonlinear - linear| over the run
@@ -78,7 +78,7 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     predicted, q = _predict(e, base, t), e.parts["q"].where
     if not np.isfinite(predicted).all():
         return _nothing(e, time, size, "the response of the linear model overflows")
-    stopped, left = "", WORK * MOST[e.law.space]
+    stopped, left = "", WORK * most_evaluations(e)
 
     def compare(direction: Array, size: float, options: dict[str, Any]) -> tuple[Array, Array] | None:
         nonlocal stopped, left
@@ -89,7 +89,7 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
             return None
         left = max(left - run.evaluations, 1)
         if run.outcome is Outcome.STOPPED:
-            raise _TooMuch(f"the runs take more than {WORK * MOST[e.law.space]} evaluations of the equations; a shorter time= takes fewer")
+            raise _TooMuch(f"the runs take more than {WORK * most_evaluations(e)} evaluations of the equations; a shorter time= takes fewer")
         if run.diverged:
             stopped = run.message
             return None
