@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.analysis.system import HORIZON
+from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.equations import Equations, refuse_what_does_not_apply
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.jacobians import Coordinates

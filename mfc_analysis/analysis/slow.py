@@ -37,7 +37,7 @@ class SlowPart:
     def roots(self) -> Complex:
         """(k,) [1/s]."""
         found = np.linalg.eigvals(self.block).astype(np.complex128)
-        return np.log1p(found * self.dt) / self.dt if self.dt else found
+        return np.asarray(np.log1p(found * self.dt) / self.dt if self.dt else found, np.complex128)
 
     def at(self, time: float) -> Array:
         """(nx, nx) transition matrix of the slow part over ``time`` [s]."""

@@ -51,7 +51,8 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
         roots, motion = tuple(one.slow_roots for one in found), tuple(one.motion for one in found)
     else:
         slow = known.slow.sum(axis=1)
-        decay, held = (inside(known.poles, known.dt) | known.slow).all(axis=1), slow < system.nx - system.registers
+        decay = np.asarray((inside(known.poles, known.dt) | known.slow).all(axis=1))
+        held = slow < system.nx - system.registers
         none = np.zeros((system.nx, system.nx))
         roots = tuple(np.zeros(0, np.complex128) if one is None else one.slow.roots for one in known.parts)
         motion = tuple(none if one is None or not one.slow.block.size else one.slow.moves(horizon) for one in known.parts)

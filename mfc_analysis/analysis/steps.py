@@ -28,6 +28,8 @@ from mfc_analysis.maths.zero_order_hold import zero_order_hold
 
 BAND = 0.02  #: settling band
 SAMPLES = 1000  #: fewest samples of a response
+MOST_SAMPLES = 60_000_000  #: of a sampled loop
+BLOCK = 4096  #: samples computed at once
 
 
 class Outcome(enum.Enum):
@@ -154,8 +156,21 @@ def _runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], R
 
 
 def _sampled(A: Array, b: Array, c: Array, d: float, dt: float, samples: int) -> Run:
-    y = c @ _doubled(A, b[:, 0], samples) + d
-    return Run(np.asarray(dt * np.arange(samples + 1), float), y, np.zeros(samples + 1), lambda k, ahead: (float(y[k]), 0.0))
+    """The samples in blocks: within one, y[k] = c A^k x of the state x at its start, so that only the outputs are kept."""
+    if samples > MOST_SAMPLES:
+        raise BadArgument("duration", samples * dt, f"at most {MOST_SAMPLES * dt:.4g} s, {MOST_SAMPLES} samples of {dt:.3g} s")
+    n = len(A)
+    whole = np.block([[A, b], [np.zeros((1, n)), np.ones((1, 1))]])  # the input is a state that stays
+    rows = np.append(c, d)[None, :]
+    block = whole
+    while len(rows) < min(BLOCK, samples + 1):
+        rows, block = np.concatenate([rows, rows @ block]), block @ block
+    x, y = np.append(np.zeros(n), 1.0), np.empty(samples + 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(0, samples + 1, len(rows)):
+            y[k : k + len(rows)] = (rows @ x)[: samples + 1 - k]
+            x = block @ x
+    return Run(np.linspace(0.0, dt * samples, samples + 1), y, np.broadcast_to(0.0, samples + 1), lambda k, ahead: (float(y[k]), 0.0))
 
 
 def _doubled(move: Array, push: Array, samples: int) -> Array:

@@ -1,7 +1,8 @@
 """Design searches for the limits of stiffness, dead time, sample rate, payload and bandwidth, by bisection on exact stability.
 
 Stability is that of the roots that are not slow (over ``horizon`` [s]), with exact dead time and sampling, at all ``times`` (a Hold: at 0;
-else 21 times over the duration or period of the reference). Each result is a float with the limiting condition, and the loop at the limit in ``.loop``.
+else 21 times over the duration or period of the reference). Each result is a float with the limiting condition, and the loop at the limit in
+``.loop``.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from scipy.linalg import matrix_balance
 
 from mfc_analysis.analysis.spectrum import rates
 from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.maths.arrays import Array, Complex
+from mfc_analysis.maths.arrays import Array, Complex, on_axis
 
 CHUNK = 2_000_000  #: complex numbers solved for at a time
 PHASES = 48  #: relative phases tried of two dead times
@@ -69,7 +69,7 @@ class Delayed:
             return 0.0
         if self.one_delay:
             return float(np.abs(np.linalg.eigvals(self.D)).max())
-        late = self.T > self.T.min() * (1 + 1e-12)
+        late = self.T.min() * (1 + 1e-12) < self.T
         turns = np.exp(1j * np.linspace(0, 2 * np.pi, PHASES, endpoint=False))[:, None, None] * late[:, None] + ~late[:, None]
         return float(np.abs(np.linalg.eigvals(turns * self.D)).max())
 
@@ -78,15 +78,15 @@ class Delayed:
         """False where no dead time lies in a loop: the roots are then those of A."""
         size = np.abs(self.places)
         w = np.geomspace(1e-2 * size.min(), min(1e2 * size.max(), np.pi / self.dt if self.dt else np.inf), 40)
-        G = self.response(1j * w)[0]
+        G = self.response(on_axis(w))[0]
         return bool(perron(np.abs(G)).max(initial=0.0) >= NO_LOOP * max(1.0, float(np.abs(G).max(initial=0.0))))
 
     def z(self, s: Complex) -> tuple[Complex, Complex]:
         """The variable of A at s (k,), and its derivative: s and 1, or z and dz/ds of a sampled loop."""
         if not self.dt:
-            return s, np.ones_like(s)
-        z = np.exp(s * self.dt)
-        return z, self.dt * z
+            return s, np.ones(s.shape, np.complex128)
+        z = np.asarray(np.exp(s * self.dt), np.complex128)
+        return z, np.asarray(self.dt * z)
 
     def response(self, s: Complex) -> tuple[Complex, Complex]:
         """G (k, nd, nd) and dG/ds at s (k,)."""

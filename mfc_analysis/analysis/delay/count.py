@@ -18,7 +18,7 @@ import numpy as np
 
 from mfc_analysis.analysis.delay.characteristic import Delayed
 from mfc_analysis.errors import NotConverged
-from mfc_analysis.maths.arrays import Array, Bools, Complex
+from mfc_analysis.maths.arrays import Array, Bools, Complex, on_axis
 
 MOST = 60_000  #: samples of one contour
 CONTRACTS = 0.8  #: loop gain below which the phase of det(I - E G) is known
@@ -123,7 +123,7 @@ def _until_contracting(point: Delayed, w: Array) -> Array:
     """The frequencies to well above every pole and up to where the loop gain is below one for good; more are added where it is not at the last."""
     above = int(np.searchsorted(w, 3 * float(np.abs(point.places).max())))
     for _ in range(12):
-        size = point.contraction(point.response(1j * w)[0])
+        size = point.contraction(point.response(on_axis(w))[0])
         last = max(above, int(np.flatnonzero(size >= CONTRACTS).max(initial=0)) + 2)
         if last < w.size:
             return w[: last + 1]
@@ -136,7 +136,7 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
 
     def at(u: Array) -> tuple[Complex, Complex]:
         turned = np.exp(1j * u)
-        return (1j * u, np.full(u.size, 1j)) if axis else (center + radius * turned, 1j * radius * turned)
+        return (on_axis(u), np.full(u.size, 1j)) if axis else (np.asarray(center + radius * turned), np.asarray(1j * radius * turned))
 
     def values(u: Array) -> tuple[Complex, Array, Complex, Complex, Bools]:
         s, ds = at(u)

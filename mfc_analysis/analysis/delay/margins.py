@@ -26,7 +26,7 @@ from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinne
 from mfc_analysis.analysis.frequency.resolvent import CONDITION
 from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, assembled
 from mfc_analysis.analysis.system import OpenSystem
-from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
 MOST = 40_000  #: frequencies at one point
 TURN = 0.2  #: [rad] phase of e^(-jwT) between two frequencies
@@ -121,12 +121,12 @@ def _metrics(point: _Point, ch: Channels, cut: Delayed, radius: float) -> dict[s
     arc = arc_crossings(theta, point.H(at(theta[0]))[None], at, lambda _, channel, s: point.one(channel, s))
     gain: list[tuple[Ints, Array, Complex]] = []
     phase: list[tuple[Ints, Array, Complex]] = []
-    end = np.abs(1 + point.H(np.array([1j * radius]))[:, 0])
+    end = np.abs(1 + point.H(on_axis(np.array([radius])))[:, 0])
     peaks = end, np.full(end.size, radius)
     metrics: dict[str, Array] = {}
     for _ in range(6):
         piece = _resolved(searched, low_end, high, float(cut.T.max()))
-        H = point.H(1j * piece)
+        H = point.H(on_axis(piece))
         piece, H = _refined(point, piece, H)
         gain.append(_crossings(point, piece, H, gain=True))
         phase.append(_crossings(point, piece, H, gain=False))
@@ -166,7 +166,7 @@ def _refined(point: _Point, w: Array, H: Complex) -> tuple[Array, Complex]:
             break
         left = np.array(sorted(gaps | {k + 1 for k in gaps}))
         extra = (w[left, None] + (w[left + 1] - w[left])[:, None] * np.linspace(0, 1, 8)[1:-1]).ravel()
-        w, H = np.concatenate([w, extra]), np.concatenate([H, point.H(1j * extra)], axis=1)
+        w, H = np.concatenate([w, extra]), np.concatenate([H, point.H(on_axis(extra))], axis=1)
         w, first = np.unique(w, return_index=True)
         H = H[:, first]
     return w, H
@@ -188,7 +188,7 @@ def _crossings(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, A
             break
         try_ = (a[todo] * fb[todo] - b[todo] * fa[todo]) / (fb[todo] - fa[todo])
         x[todo] = np.where((try_ >= a[todo]) & (try_ <= b[todo]), try_, (a[todo] + b[todo]) / 2)
-        hx[todo] = point.one(channel[todo], 1j * x[todo])
+        hx[todo] = point.one(channel[todo], on_axis(x[todo]))
         fx = hx[todo].real + 0.5 if gain else hx[todo].imag
         right = (fx >= 0) == (fb[todo] >= 0)
         fa[todo], fb[todo] = np.where(right, fa[todo] / 2, fx), np.where(right, fx, fb[todo] / 2)
@@ -212,7 +212,7 @@ def _peaks(point: _Point, w: Array, H: Complex, peak: Array, where: Array) -> tu
     inner = np.linspace(0, 1, 9)
     for _ in range(7):
         x = a[:, None] + (b - a)[:, None] * inner
-        found = np.abs(1 + point.one(np.repeat(channel, inner.size), 1j * x.ravel())).reshape(x.shape)
+        found = np.abs(1 + point.one(np.repeat(channel, inner.size), on_axis(x.ravel()))).reshape(x.shape)
         top = found.argmax(axis=1)
         rows = np.arange(channel.size)
         better = found[rows, top] > best
@@ -233,7 +233,7 @@ def _joined(parts: list[tuple[Ints, Array, Complex]]) -> Crossings:
 def _needed(point: _Point, high: float, increase: Array) -> float:
     """[rad/s] up to which a crossing could limit a margin: |L| >= 1, or a gain below the increase found so far."""
     w = np.geomspace(high, 64 * high, 100)
-    H = point.H(1j * w)
+    H = point.H(on_axis(w))
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(H / (1 + H))
     binds = size >= np.minimum(1.0, 0.98 / increase)[:, None]

@@ -19,7 +19,7 @@ from mfc_analysis.analysis.delay.verdict import chain, delayed_verdicts
 from mfc_analysis.analysis.spectrum import poles, spectrum
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.errors import Unsupported
-from mfc_analysis.maths.arrays import Array, Complex, Ints
+from mfc_analysis.maths.arrays import Array, Complex, Ints, on_axis
 from mfc_analysis.maths.checks import whole
 
 MOST_NODES = 200  #: for one wire
@@ -78,7 +78,7 @@ def _reach(point: Delayed) -> float:
     size = np.abs(point.places)
     even = np.geomspace(max(float(size.min()), 1e-3 * float(size.max())) * 0.3, 1e3 * float(size.max()), 80)
     w = np.union1d(even, size * 1.0001)
-    alive = np.flatnonzero(perron(np.abs(point.response(1j * w)[0])) >= 0.7)
+    alive = np.flatnonzero(perron(np.abs(point.response(on_axis(w))[0])) >= 0.7)
     return float(w[min(alive[-1] + 1, w.size - 1)]) if alive.size else float(w[0])
 
 

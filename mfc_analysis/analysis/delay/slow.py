@@ -29,7 +29,7 @@ def slow_part(point: Delayed, radius: float, count: int) -> tuple[Complex, Array
         s = radius * np.exp(1j * np.pi * (np.arange(points // 2) + 0.5) / (points // 2))  # the upper half: the lower one is its conjugate
         R = _resolvent(point, s)
         whole, half = (_moment(R, s * np.exp(s * t)) for t in (horizon, horizon / 2))
-        if before is not None and np.abs(whole - before).max() <= AGREES * np.abs(whole).max() or points >= MOST:
+        if (before is not None and np.abs(whole - before).max() <= AGREES * np.abs(whole).max()) or points >= MOST:
             break
         before, points = whole, 2 * points
     physical = point.scale[:, None] / point.scale

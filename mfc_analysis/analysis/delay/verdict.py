@@ -12,7 +12,7 @@ from mfc_analysis.analysis.delay.slow import slow_part
 from mfc_analysis.analysis.spectrum import Spectrum, inside
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import NotConverged
-from mfc_analysis.maths.arrays import Array, Complex
+from mfc_analysis.maths.arrays import Array, Complex, on_axis
 
 CERTAINLY = 1 - 1e-9  #: a direct gain round a dead time from here on has an infinite chain of unstable roots
 BESIDE = np.arange(-16, 17) + 0.5  #: half turns of e^(-sT) beside a place at which an unstable root is sought,
@@ -80,7 +80,7 @@ def chain(point: Delayed) -> Complex:
     w = np.unique(np.concatenate([even, (np.abs(places.imag)[:, None] + np.pi / T * BESIDE).ravel()]))
     w = w[(w >= 0.3 / T) & (w * point.dt < np.pi)]
     with np.errstate(all="ignore"):
-        s = (1j * w[:, None] + np.log(_eigenvalues(point, 1j * w)) / T).ravel()
+        s = (1j * w[:, None] + np.log(_eigenvalues(point, on_axis(w))) / T).ravel()
         for k in range(NEWTON):
             s = s[np.isfinite(s) & (s.real > -1 / T) & (s.real * T < MOST_GROWTH) & (s.imag > 0)]
             if not s.size:
@@ -98,4 +98,4 @@ def chain(point: Delayed) -> Complex:
 
 def _eigenvalues(point: Delayed, s: Complex) -> Complex:
     """(k, nd) eigenvalues of E G at s (k,)."""
-    return np.linalg.eigvals(point.response(s)[0] * np.exp(-s[:, None] * point.T)[:, :, None])
+    return np.asarray(np.linalg.eigvals(point.response(s)[0] * np.exp(-s[:, None] * point.T)[:, :, None]))

@@ -48,8 +48,9 @@ class Crossings:
 def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossings]:
     """All gain crossovers (|L| = 1) and all phase crossings (L real) at w[:, 0] <= w < inf of every point and channel.
 
-    ``H``: (m, n, k) on the increasing frequencies ``w`` (m, k) of interest; the first, 1/horizon, is the same for all points. Where modes are known, ``exclusion`` isolates the crossovers
-    between them; this is cheaper than the eigenvalue problem, which is used where exclusion stops early.
+    ``H``: (m, n, k) on the increasing frequencies ``w`` (m, k) of interest; the first, 1/horizon, is the same for all points. Where modes
+    are known, ``exclusion`` isolates the crossovers between them; this is cheaper than the eigenvalue problem, which is used where
+    exclusion stops early.
     """
     left = np.ones(found.ch.H0.shape, bool)  # channels for the eigenvalue problem
     parts: list[tuple[Ints, Ints, Array]] = []

@@ -63,7 +63,7 @@ def sensitivity_peak(found: Resolvent, w: Array, H: Complex) -> tuple[Array, Arr
     peak, at = np.zeros(best.shape), np.full(best.shape, np.inf)
     order = np.argsort(value, kind="stable")  # of several values the last one written, the highest, stays
     peak[point[order], channel[order]], at[point[order], channel[order]] = value[order], where[order]
-    for end, frequency in zip(ends, (w[:, :1], np.inf), strict=True):
+    for end, frequency in zip(ends, (w[:, :1], np.full((1, 1), np.inf)), strict=True):
         better = end >= peak * (1 - 1e-12)
         peak, at = np.where(better, end, peak), np.where(better, frequency, at)
     return peak, at

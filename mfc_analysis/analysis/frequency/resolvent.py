@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfc_analysis.analysis.channels import Channels
-from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
 CONDITION = 1e5  #: largest condition number of the eigenvectors with which modes are used: ten digits remain
 CHUNK = 4_000_000  #: complex numbers solved for at a time
@@ -27,7 +27,7 @@ class Resolvent:
 
     def at(self, point: Ints, channel: Ints, w: Array) -> tuple[Complex, Complex]:
         """H and dH/dw, each (k,), of k cases: point, channel (k,) and w (k,) [rad/s]."""
-        H, slope = self.at_place(point, channel, 1j * w)
+        H, slope = self.at_place(point, channel, on_axis(w))
         return H, 1j * slope
 
     def at_place(self, point: Ints, channel: Ints, s: Complex) -> tuple[Complex, Complex]:
@@ -42,7 +42,7 @@ class Resolvent:
 
     def on(self, w: Array) -> Complex:
         """H (m, n, k) of all channels at frequencies w (m, k) [rad/s] of each point."""
-        return self.over(1j * w)
+        return self.over(on_axis(w))
 
     def over(self, s: Complex) -> Complex:
         """H (m, n, k) of all channels at s (m, k) of each point."""

@@ -12,7 +12,6 @@ from scipy.special import lambertw
 
 from mfc_analysis.analysis.delay.roots import delay_roots
 from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, Unsupported
 from tests.analysis.conftest import open_system, random_loops
