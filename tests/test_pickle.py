@@ -28,6 +28,7 @@ WITHIN = {
     "Channels",
     "Crossings",
     "Delayed",
+    "DelayedVerdict",
     "ForceDesign",
     "Intervals",
     "Kind",
@@ -35,12 +36,16 @@ WITHIN = {
     "MarginMetrics",
     "Opened",
     "Orbit",
+    "Parts",
     "Replay",
     "Resolvent",
     "Run",
     "SecondOrder",
     "SingularValues",
+    "SlowPart",
+    "SlowWords",
     "Split",
+    "Walk",
 }
 
 ARM, F = mfc.robots.ur5(), np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])

@@ -25,7 +25,7 @@ class Stability:
     drifts: Bools  #: (m,) the slow part keeps moving within the horizon
     nonzero_stable: Bools  #: (m,) there are roots that are not slow, and all of them decay; margins and searches use this
     held: Bools  #: (m,) False where every root is slow: nothing holds the loop within the horizon
-    idle: int  #: integrals that act on nothing, left out of the verdict
+    idle: Ints  #: (m,) integrals that act on nothing, left out of the verdict
     slow_roots: tuple[Complex, ...]  #: (m,) arrays of the slow roots [1/s]
     motion: tuple[Array, ...]  #: (m,) (nx, nx) what the slow part keeps moving over the second half of the horizon; 0 where nothing drifts
     horizon: float  #: [s]
@@ -58,7 +58,9 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
         motion = tuple(none if one is None or not one.slow.block.size else one.slow.moves(horizon) for one in known.parts)
     drifts = np.array([moved.any() for moved in motion], bool).reshape(m)
     good = np.asarray(decay & held, bool)
-    return Stability(good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), whole.nx - system.nx, roots, motion, horizon)
+    return Stability(
+        good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), np.full(m, whole.nx - system.nx), roots, motion, horizon
+    )
 
 
 def growth(system: OpenSystem) -> Array:

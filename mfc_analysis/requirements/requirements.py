@@ -247,8 +247,8 @@ def _notes(evidence: Evidence) -> tuple[str, ...]:
         )
     if verdict.slow.any():
         out.append(slow_words(evidence).roots)
-    if verdict.idle:
-        out.append(f"integrals that act on nothing, left out: {verdict.idle}")
+    if verdict.idle.any():
+        out.append(f"integrals that act on nothing, left out: {int(verdict.idle.max())}")
     if verdict.drifts.any():
         out.append(f"{slow_words(evidence).means}; margins are those of the roots that are not slow, and the verdict is WATCH at best")
     return tuple(out)

@@ -59,20 +59,16 @@ def test_with_every_wire_kept_nothing_changes(rng):
         assert np.array_equal(kept, getattr(system, name))
 
 
-def test_dead_time_outside_the_matrices_is_that_of_a_continuous_loop():
+def test_a_loop_with_dead_time_on_a_wire_is_delayed():
     assert open_system(1 / s, delay=0.1).delayed
     assert not open_system(1 / s).delayed
-    assert not open_system(control.tf([0.4], [1, -0.9], 0.01), delay=0.1).delayed
 
 
-def test_some_of_the_points_keep_their_own_matrices_and_those_of_the_loop_behind():
-    behind = open_system([1 / s, 2 / s, 3 / s])
-    sampled = replace(open_system([control.c2d(control.ss(k / s), 0.1) for k in (1, 2, 3)]), continuous=behind)
+def test_some_of_the_points_keep_their_own_matrices():
+    sampled = open_system([control.c2d(control.ss(k / s), 0.1) for k in (1, 2, 3)])
     some = sampled.at(np.array([2, 0]))
     assert some.times.tolist() == [2.0, 0.0] and (some.nx, some.nu, some.ny, some.nw) == (1, 1, 1, 1)
     assert_allclose(close_wires(some)[0].ravel(), [1 - 0.3, 1 - 0.1], rtol=1e-12)
-    assert some.continuous is not None
-    assert_allclose(close_wires(some.continuous)[0].ravel(), [-3, -1], rtol=1e-12)
 
 
 def test_idle_integrals_go_and_nothing_else_changes():

@@ -23,6 +23,7 @@ from mfc_analysis.analysis.spectrum import rates
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.maths.arrays import Array, Complex, on_axis
 
+NEAR = 1e-5  #: relative distance from a pole of G within which f is computed without G
 CHUNK = 2_000_000  #: complex numbers solved for at a time
 PHASES = 48  #: relative phases tried of two dead times
 NO_LOOP = 1e-12  #: a loop gain below this fraction of the largest entry of G is no loop
@@ -116,7 +117,28 @@ class Delayed:
         phase = np.angle(np.linalg.slogdet(K)[0]) + np.angle(up).sum(axis=1) - np.angle(down).sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             rate = np.trace(_solved(K, dK), axis1=1, axis2=2) + slope * ((1 / up).sum(axis=1) - (1 / down).sum(axis=1))
-        return phase, np.asarray(rate), loop
+        rate = np.asarray(rate)
+        near = np.flatnonzero((np.abs(up) < NEAR * np.abs(z)[:, None]).any(axis=1))  # beside a pole of G: from the matrix, which has none
+        if near.size:
+            M, dM = self.matrix(s[near])
+            phase[near] = np.angle(np.linalg.slogdet(M)[0]) - np.angle(down[near]).sum(axis=1)
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                rate[near] = np.trace(_solved(M, dM), axis1=1, axis2=2) - slope[near] * (1 / down[near]).sum(axis=1)
+        return phase, rate, loop
+
+    def matrix(self, s: Complex) -> tuple[Complex, Complex]:
+        """The characteristic matrix M (k, nx + nd, nx + nd) at s (k,), with det M = f, and its derivative."""
+        nx, nd = len(self.A), len(self.T)
+        z, dz = self.z(s)
+        E = np.exp(-s[:, None] * self.T)[:, :, None]
+        M = np.zeros((s.size, nx + nd, nx + nd), np.complex128)
+        slope = np.zeros_like(M)
+        M[:, :nx, :nx], M[:, :nx, nx:] = z[:, None, None] * np.eye(nx) - self.A, -self.B
+        M[:, nx:, :nx], M[:, nx:, nx:] = -E * self.C, np.eye(nd) - E * self.D
+        late = self.T[:, None] * E
+        slope[:, :nx, :nx] = dz[:, None, None] * np.eye(nx)
+        slope[:, nx:, :nx], slope[:, nx:, nx:] = late * self.C, late * self.D
+        return M, slope
 
     def contraction(self, loop: Complex) -> Array:
         """(k,) bounds of the spectral radius of E G over all phases of E, from E G (k, nd, nd)."""

@@ -147,7 +147,7 @@ def _polish_copies(point: Delayed, s: Complex, copies: Ints, size: Array) -> Non
         found = s[group]
         for _ in range(4):
             middle = found.mean()
-            M, slope = _characteristic(point, np.array([middle]))
+            M, slope = point.matrix(np.array([middle]))
             with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
                 inverse = np.linalg.eigvals(np.linalg.solve(M[0], slope[0]))
                 nearest = inverse[np.argsort(-np.abs(inverse), kind="stable")[: len(group)]]
@@ -160,28 +160,13 @@ def _polish_copies(point: Delayed, s: Complex, copies: Ints, size: Array) -> Non
 
 def _newton(point: Delayed, s: Complex) -> Complex:
     """Newton steps -1 / trace(M^-1 M') at s (k,), with the characteristic matrix M."""
-    M, slope = _characteristic(point, s)
+    M, slope = point.matrix(s)
     try:
         quotient = np.linalg.solve(M, slope)
     except np.linalg.LinAlgError:  # exactly on a root
         return np.zeros(1, np.complex128) if s.size == 1 else np.concatenate([_newton(point, one) for one in s[:, None]])
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(-1 / np.trace(quotient, axis1=1, axis2=2))
-
-
-def _characteristic(point: Delayed, s: Complex) -> tuple[Complex, Complex]:
-    """The characteristic matrix M (k, nx + nd, nx + nd) at s (k,), and its derivative."""
-    nx, nd = len(point.A), len(point.T)
-    E = np.exp(-s[:, None] * point.T)[:, :, None]
-    M = np.zeros((s.size, nx + nd, nx + nd), np.complex128)
-    slope = np.zeros_like(M)
-    M[:, :nx, :nx] = s[:, None, None] * np.eye(nx) - point.A
-    M[:, :nx, nx:] = -point.B
-    M[:, nx:, :nx], M[:, nx:, nx:] = -E * point.C, np.eye(nd) - E * point.D
-    slope[:, :nx, :nx] = np.eye(nx)
-    late = point.T[:, None] * E
-    slope[:, nx:, :nx], slope[:, nx:, nx:] = late * point.C, late * point.D
-    return M, slope
 
 
 def _ordered(roots: Complex) -> Complex:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfc_analysis import plots
+from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.maths.arrays import Complex
 from mfc_analysis.plots.frequency import of_channel
 from mfc_analysis.report.document.document import Cell, Column, Figure, Row, Table, written
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 LYNCH = "Lynch & Park, Modern Robotics, ch. 11"
 SICILIANO = "Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control, ch. 8-9"
+
+SLOW = 1 / HORIZON  #: [1/s] poles below this are slow
 
 
 def at_most(name: str, asked: float, found: float, unit: str = "", where: str = "", when: float | None = None) -> Line:
@@ -76,9 +79,9 @@ def response(lin: Linearization, at: str, channel: int, name: str, index: int = 
 
 def pole_map(values: Complex, name: str, path: Complex | None = None) -> Figure:
     """The poles (nx,) in the plane; ``path`` (m, nx): the poles at other operating points."""
-    kept = np.asarray(values)[np.abs(values) > 0]
+    kept = np.asarray(values)[np.abs(values) >= SLOW]
     rightmost = float(kept.real.max()) if kept.size else math.nan
-    others = None if path is None else path[np.abs(path) > 0]
+    others = None if path is None else path[np.abs(path) >= SLOW]
     return Figure(
         partial(plots.poles, kept, path=others),
         f"Poles of {name}.",
@@ -87,11 +90,11 @@ def pole_map(values: Complex, name: str, path: Complex | None = None) -> Figure:
 
 
 def poles_table(rows: Sequence[tuple[str, Complex]], count: int, caption: str) -> Table:
-    """One row per loop: its ``count`` slowest nonzero poles, one of each pair."""
+    """One row per loop: its ``count`` slowest poles that are not slow roots, one of each pair."""
     columns = (Column("Loop", numeric=False), *(Column(f"Pole {i + 1}", "1/s") for i in range(count)))
     out: list[tuple[Cell, ...]] = []
     for name, values in rows:
-        kept = [complex(p) for p in np.asarray(values) if abs(p) > 0 and p.imag >= 0][:count]
+        kept = [complex(p) for p in np.asarray(values) if abs(p) >= SLOW and p.imag >= 0][:count]
         out.append((name, *kept, *("" for _ in range(count - len(kept)))))
     return Table(caption, columns, tuple(out))
 
@@ -103,6 +106,6 @@ def validated(loop: ClosedLoop, time: float) -> dict[str, float]:
 
 
 def slowest(values: Complex) -> complex:
-    """The rightmost nonzero pole."""
-    kept = np.asarray(values)[np.abs(values) > 0]
+    """The rightmost pole that is not a slow root."""
+    kept = np.asarray(values)[np.abs(values) >= SLOW]
     return complex(kept[int(np.argmax(kept.real))])

@@ -357,7 +357,7 @@ def redundant_section() -> Section:
         ),
     )
     slowest = float(np.roots([1, GAINS["kd"], GAINS["kp"], GAINS["ki"]]).real.max())
-    found = float(damped.poles()[0].real[np.abs(damped.poles()[0]) > 0].max())
+    found = float(damped.poles()[0].real[np.abs(damped.poles()[0]) >= 1 / damped.horizon].max())
     checks = (at_most("deviation from theory", 1e-6, 100 * abs(found / slowest - 1), "%", "slowest pole"),)
     numbers = {
         "neutral": [int(x.neutral[0]) for x in lins.values()],

@@ -76,7 +76,7 @@ def three_numbers(view: View) -> KeyFacts:
     phase = Number(known * w.phase_deg[0], "°", infinite="no crossover", undefined=without)
     return KeyFacts(
         (
-            Fact("Rightmost pole", value, "all poles are at zero" if np.isneginf(root.value) else place_words(root.where, root.when or 0.0, m)),
+            Fact("Rightmost pole", value, "every root is slow" if np.isneginf(root.value) else place_words(root.where, root.when or 0.0, m)),
             Fact("Phase margin", phase, place_words(w.phase_deg[2], w.phase_deg[1], m) if np.isfinite(phase.value) else ""),
             Fact("Delay margin", delay, place_words(w.delay[2], w.delay[1], m) if np.isfinite(delay.value) else ""),
         )
@@ -88,9 +88,9 @@ def pole_rows(view: View, most: int = 24) -> Table:
     i = view.worst.row
     rows = []
     for p in view.lin.pole_table(i):
-        if p.value.imag < 0 and p.kind != "zero":
+        if p.value.imag < 0 and p.kind != "slow":
             continue
-        kind = {"zero": "at zero", "stable": "", "undamped": "undamped", "unstable": "unstable"}.get(p.kind, p.kind)
+        kind = "" if p.kind == "stable" else p.kind
         rows.append((p.value, Number(p.frequency), Number(p.damping, undefined="–"), Number(p.time_constant, infinite="never decays"), kind))
     cut = f"; the slowest {most} of {len(rows)}" if len(rows) > most else ""
     dead = "; without dead time" if view.lin.delay or view.lin.force_delay else ""

@@ -102,7 +102,7 @@ def test_free_space_gives_the_speeds_of_the_integrated_equation() -> None:
     ramp = 10 * kfi / d
     v = ramp * t + (20 / d - ramp / d) * (1 - np.exp(-d * t))
     assert n["speed"]["slider, 9.23"] == pytest.approx(v, rel=1e-6)
-    assert all(n["drifts"].values())
+    assert sum(n["drifts"].values()) == 3  # the damped UR5 has a pair at 0.015 rad/s, faster than the horizon, that grows
 
 
 def test_force_margins_of_the_slider_are_python_controls() -> None:

@@ -39,7 +39,7 @@ def test_a_pair_of_poles_is_one_row_with_its_frequency_damping_and_time_constant
     ((pole, frequency, damping, constant, kind),) = blocks.pole_rows(mass(25.0, 6.0)).rows
     assert (pole, kind) == (pytest.approx(-3 + 4j), "")
     assert_allclose([frequency.value, damping.value, constant.value], [5.0, 0.6, 1 / 3])
-    assert [row[-1] for row in blocks.pole_rows(open_loop()).rows] == ["at zero"]
+    assert [row[-1] for row in blocks.pole_rows(open_loop()).rows] == ["slow"]
     assert len(blocks.pole_rows(links(), most=1).rows) == 1
 
 

@@ -1,0 +1,48 @@
+"""What is slow in words: what slides on a smooth wall, what a free position is, and what would hold them."""
+
+import numpy as np
+import pytest
+
+import mfc_analysis as mfc
+from mfc_analysis.requirements.evidence import Evidence
+from mfc_analysis.requirements.slow import slow_words
+
+Z = np.eye(6)[2]
+Q = np.array([0.3, -1.2, 1.5, -1.0, -1.4, 0.2])
+
+
+def on_a_wall(axes: str = "z", **hardware: float) -> mfc.ClosedLoop:
+    law = mfc.laws.DampedForcePI(10 * Z, Z, 2 * Z, kdamp=40.0)
+    wall = mfc.Environment(stiffness=1e4, axes=axes, preload=10.0)
+    return mfc.ClosedLoop(mfc.robots.load("ur10"), law, mfc.trajectories.Hold(Q), environment=wall, hardware=mfc.Hardware(**hardware))
+
+
+@pytest.mark.parametrize("hardware", [{}, {"torque_lag": 1e-3}], ids=["ideal", "lag"])
+def test_a_tool_on_a_smooth_wall_slides_and_the_cure_is_named(hardware: dict[str, float]) -> None:
+    words = slow_words(Evidence(on_a_wall(**hardware).equations, np.zeros(1)))
+    assert "slow root" in words.roots and "0.01 1/s" in words.roots
+    assert "slides" in words.means and "add a foot" in words.means and "100 s" in words.means
+    assert "along z" not in words.means  # the wall holds it there
+
+
+def test_a_verdict_on_a_smooth_wall_says_what_slides() -> None:
+    verdict = mfc.Requirements().check(on_a_wall(), [0.0])
+    assert verdict.status == "WATCH" and "slides" in verdict.line("stable").note
+    assert any("add a foot" in note for note in verdict.notes)
+
+
+def test_free_positions_stay_where_they_are_put() -> None:
+    loop = mfc.ClosedLoop(
+        mfc.robots.load("panda"), mfc.laws.ComputedTorque(kp=0.0, kd=5.0), mfc.trajectories.Hold(np.full(7, 0.3) * [1, 1, 1, -5, 1, 5, 1])
+    )
+    words = slow_words(Evidence(loop.equations, np.zeros(1)))
+    assert words.roots.startswith("7 slow roots") and "zero to rounding" in words.roots and words.means == ""
+
+
+def test_a_joint_that_ramps_is_named_and_a_loop_without_slow_roots_says_so() -> None:
+    arm = mfc.robots.planar_2r()
+    free = mfc.ClosedLoop(arm, mfc.laws.ComputedTorque(kp=[100.0, 0.0], kd=[20.0, 0.0]), mfc.trajectories.Hold([0.2, 0.4]))
+    words = slow_words(Evidence(free.equations, np.zeros(1)))
+    assert arm.joint_names[1] in words.means and arm.joint_names[0] not in words.means
+    held = mfc.ClosedLoop(arm, mfc.laws.ComputedTorque(kp=100.0, kd=20.0), mfc.trajectories.Hold([0.2, 0.4]))
+    assert slow_words(Evidence(held.equations, np.zeros(1))) == ("no slow root", "", "")
