@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from mfc_analysis.analysis.margins import Margins, margins
 from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.analysis.system import HORIZON, OpenSystem
 from mfc_analysis.errors import UnknownPoint
 from tests.analysis.conftest import open_system, random_loops, scaled
 
@@ -20,8 +20,8 @@ s = control.tf("s")
 METRICS = ("gain_reduction", "gain_increase", "phase_deg", "delay", "sensitivity_peak", "crossover")
 
 
-def of(L) -> dict[str, float]:
-    found = margins(open_system(L), "torque")
+def of(L, horizon: float = HORIZON) -> dict[str, float]:
+    found = margins(replace(open_system(L), horizon=horizon), "torque")
     return {name: float(getattr(found, name)[0, 0]) for name in METRICS}
 
 
@@ -54,7 +54,7 @@ def test_a_good_pid_on_a_double_integrator_fails_only_when_its_gain_falls():
 
 @pytest.mark.parametrize("w", [0.01, 1.0, 400.0])
 def test_the_triple_pole_design_loses_stability_at_a_ninth_of_its_gain(w):
-    found = of((3 * w * s**2 + 3 * w**2 * s + w**3) / s**3)
+    found = of((3 * w * s**2 + 3 * w**2 * s + w**3) / s**3, np.inf)
     assert_allclose(found["gain_reduction"], 1 / 9, rtol=1e-9)
     # |L| = 1 is 3 W^2 - ... : with W = (w_c / w)^2, W^3 = 9 W^2 + 3 W + 1
     W = np.roots([1, -9, -3, -1]).real.max()
@@ -63,7 +63,7 @@ def test_the_triple_pole_design_loses_stability_at_a_ninth_of_its_gain(w):
 
 @pytest.mark.parametrize("k", [1e-3, 2.0, 1e4])
 def test_an_integrator_has_ninety_degrees_and_a_quarter_period(k):
-    found = of(k / s)
+    found = of(k / s, np.inf)
     assert_allclose([found["phase_deg"], found["delay"], found["crossover"]], [90, np.pi / (2 * k), k], rtol=1e-12)
     assert (found["gain_reduction"], found["gain_increase"], found["sensitivity_peak"]) == (0, np.inf, 1)
 
@@ -101,7 +101,7 @@ def test_every_metric_is_the_largest_perturbation_a_random_loop_survives(rng):
 
 
 def test_turning_the_loop_by_the_phase_margin_puts_a_pole_on_the_axis(rng):
-    system = random_loops(rng, m=60, nx=5, n=1)
+    system = replace(random_loops(rng, m=60, nx=5, n=1), horizon=np.inf)
     found = margins(system, "torque")
     seen = 0
     for i in np.flatnonzero(found.stable & np.isfinite(found.phase_deg[:, 0])):
@@ -114,7 +114,7 @@ def test_turning_the_loop_by_the_phase_margin_puts_a_pole_on_the_axis(rng):
 
 
 def test_metrics_equal_those_of_python_control_where_it_is_right(rng):
-    system = random_loops(rng, m=40, nx=4, n=1)
+    system = replace(random_loops(rng, m=40, nx=4, n=1), horizon=np.inf)
     found = margins(system, "torque")
     compared = 0
     for i in np.flatnonzero(found.stable):
@@ -144,7 +144,7 @@ def test_each_of_several_loops_is_that_of_the_others_closed(rng):
 
 
 def test_the_peak_is_that_of_a_fine_grid(rng):
-    system = random_loops(rng, m=30, nx=6, n=2)
+    system = replace(random_loops(rng, m=30, nx=6, n=2), horizon=np.inf)
     found = margins(system, "torque")
     for i in np.flatnonzero(found.stable):
         for k in range(2):
@@ -158,7 +158,7 @@ def test_the_peak_is_that_of_a_fine_grid(rng):
 def test_stiff_loops_keep_their_digits():
     m, b, k, T, kp, ki = 1.0, 600.0, 1e6, 2e-3, 0.2, 2e-3
     L = k * (kp * s + ki) / (s * (m * s**2 + b * s + k) * (T * s + 1))
-    found = of(L)
+    found = of(L, np.inf)
     assert_allclose(found["crossover"], _bisect_crossover(L, 1e-4, 10), rtol=1e-8)
     assert stable(scaled(open_system(L), found["gain_increase"] * (1 - 1e-6)))
     assert not stable(scaled(open_system(L), found["gain_increase"] * (1 + 1e-6)))

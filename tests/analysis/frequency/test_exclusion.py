@@ -21,7 +21,7 @@ def prepared(system):
     ch = channels(system, "torque")
     ch = ch.at(np.linalg.eigvals(ch.A).real.max(axis=1) < 0)
     found = resolvent(ch)
-    w = np.pad(frequencies_of_interest(found.poles), ((0, 0), (1, 0)))
+    w = frequencies_of_interest(found.poles, 0.0)
     return found, w, found.on(w)
 
 
@@ -32,8 +32,8 @@ def test_both_ways_find_the_same_crossovers(rng, nx, n, spread):
     system.A[:], system.B[:] = system.A * rates, system.B * rates
     found, w, H = prepared(system)
     by_exclusion, _ = crossings(found, w, H)
-    squared, _ = _squared_frequencies(found.ch, found.poles, np.ones(found.ch.H0.shape, bool))
-    by_eigenvalues = _polished(found, *_candidates(squared), gain=True)
+    squared, _ = _squared_frequencies(found.ch, found.poles, np.ones(found.ch.H0.shape, bool), 0.0)
+    by_eigenvalues = _polished(found, *_candidates(squared, 0.0), gain=True)
     a, b = (np.lexsort((x.w, x.channel, x.point)) for x in (by_exclusion, by_eigenvalues))
     assert by_exclusion.w.size == by_eigenvalues.w.size > 5
     assert (by_exclusion.point[a] == by_eigenvalues.point[b]).all()

@@ -34,14 +34,16 @@ def test_the_two_of_two_resonances_that_is_higher_wins():
 
 def test_frequencies_rise_and_reach_beyond_all_poles():
     poles = np.array([[-1 + 5j, -1 - 5j, -1e3, -0.02]])
-    w = frequencies_of_interest(poles)
-    assert (np.diff(w, axis=1) >= 0).all() and (w > 0).all()
-    assert w[0, 0] < 1e-3 and w[0, -1] > 5e4
+    w = frequencies_of_interest(poles, 0.0)
+    assert (np.diff(w, axis=1) >= 0).all() and (w[:, 1:] > 0).all()
+    assert w[0, 0] == 0 and w[0, 1] < 1e-3 and w[0, -1] > 5e4
+    above = frequencies_of_interest(poles, 0.5)
+    assert above[0, 0] == 0.5 and (np.diff(above, axis=1) >= 0).all() and above[0, -1] > 5e4
 
 
 def test_poles_on_one_spot_need_few_frequencies():
     poles = np.full((2, 18), -10.0 + 0j)
-    w = frequencies_of_interest(poles)
+    w = frequencies_of_interest(poles, 0.0)
     few = thinned(w, poles)
     assert few.shape[1] < w.shape[1] / 2
     assert (np.diff(few, axis=1) >= 0).all() and few[0, -1] == w[0, -1] and few[0, 0] == w[0, 0]
