@@ -47,3 +47,9 @@ def test_poles_on_one_spot_need_few_frequencies():
     few = thinned(w, poles)
     assert few.shape[1] < w.shape[1] / 2
     assert (np.diff(few, axis=1) >= 0).all() and few[0, -1] == w[0, -1] and few[0, 0] == w[0, 0]
+
+
+def test_a_pole_on_the_lowest_frequency_leaves_the_others_their_frequencies():
+    poles = np.array([[0.0, -1e-3 + 20j, -1e-3 - 20j, -3.0]])
+    few = thinned(frequencies_of_interest(poles, 0.0), poles)[0]
+    assert (np.abs(few - 20) < 5e-3).sum() >= 5 and few.size > 20
