@@ -181,7 +181,7 @@ def _metrics(ch: Channels, radius: float, modes: Modes) -> MarginMetrics:
     gain, phase = crossings(found, w, H)
     at = places(radius, dt)
     theta = angles(rates(modes[0], dt), radius)
-    arc = arc_crossings(theta, found.over(at(theta)), at, lambda point, channel, s: found.at_place(point, channel, s)[0])
+    arc = arc_crossings(radius, theta, found.over(at(theta)), at, lambda point, channel, s: found.at_place(point, channel, s)[0])
     peak, peak_at = sensitivity_peak(found, w, H)
     metrics = assembled(gain, phase, arc, found.ch.H0, lambda w: frequency(w, dt))
     return MarginMetrics(**metrics, sensitivity_peak=np.maximum(peak, 1.0), peak_frequency=frequency(peak_at, dt))

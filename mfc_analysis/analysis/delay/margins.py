@@ -118,7 +118,7 @@ def _metrics(point: _Point, ch: Channels, cut: Delayed, radius: float) -> dict[s
     low_end, high = radius, max(float(w[-1]), 3 * np.pi / float(cut.T.min()))
     searched = w
     at, theta = places(radius, 0.0), angles(poles[None], radius)
-    arc = arc_crossings(theta, point.H(at(theta[0]))[None], at, lambda _, channel, s: point.one(channel, s))
+    arc = arc_crossings(radius, theta, point.H(at(theta[0]))[None], at, lambda _, channel, s: point.one(channel, s))
     gain: list[tuple[Ints, Array, Complex]] = []
     phase: list[tuple[Ints, Array, Complex]] = []
     end = np.abs(1 + point.H(on_axis(np.array([radius])))[:, 0])

@@ -42,8 +42,11 @@ def angles(poles: Complex, radius: float) -> Array:
     return np.sort(np.concatenate([even, np.clip(around, 0, np.pi / 2)], axis=1), axis=1)
 
 
-def arc_crossings(theta: Array, H: Complex, at: Place, evaluate: Evaluate) -> Crossings:
-    """All places on the arc at which L is real, with w = Im s; ``H`` (m, n, k) at the angles ``theta`` (m, k), of which the first is 0."""
+def arc_crossings(radius: float, theta: Array, H: Complex, at: Place, evaluate: Evaluate) -> Crossings:
+    """All places on the arc ``at`` at which L is real, with w = Im s [rad/s].
+
+    ``H``: (m, n, k) at the angles ``theta`` (m, k), of which the first is 0.
+    """
     f = H.imag
     point, channel, k = np.nonzero((f[..., 1:-1] >= 0) != (f[..., 2:] >= 0))
     a, b = theta[point, k + 1], theta[point, k + 2]
@@ -62,6 +65,6 @@ def arc_crossings(theta: Array, H: Complex, at: Place, evaluate: Evaluate) -> Cr
     m, n = f.shape[:2]
     every = np.indices((m, n)).reshape(2, -1)
     return Crossings(
-        np.concatenate([every[0], point]), np.concatenate([every[1], channel]), np.concatenate([np.zeros(m * n), at(x).imag]),
+        np.concatenate([every[0], point]), np.concatenate([every[1], channel]), np.concatenate([np.zeros(m * n), radius * np.sin(x)]),
         np.concatenate([H[..., 0].real.ravel().astype(np.complex128), found]),
     )  # fmt: skip

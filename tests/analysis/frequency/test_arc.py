@@ -1,0 +1,138 @@
+"""Where a loop is real on the indentation of Nyquist's contour, against the roots of the loop's polynomials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import brentq
+
+from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, places
+from mfc_analysis.analysis.margins import margins
+from mfc_analysis.analysis.spectrum import rates
+from mfc_analysis.analysis.stability import stability
+from mfc_analysis.analysis.system import close_wires
+from tests.analysis.conftest import open_system, scaled
+
+s = control.tf("s")
+RADIUS = 0.01
+SAMPLE_TIME = 0.5
+
+
+def closed(L, gain: float) -> np.ndarray:
+    """Roots in the s plane of 1 + gain L."""
+    found = np.roots(np.polyadd(L.den[0][0], gain * L.num[0][0]))
+    return rates(found, float(L.dt or 0.0))
+
+
+def value(L, at):
+    """L at places ``at`` of the s plane."""
+    return np.polyval(L.num[0][0], np.exp(at * L.dt) if L.dt else at) / np.polyval(L.den[0][0], np.exp(at * L.dt) if L.dt else at)
+
+
+def real_on_the_arc(L) -> np.ndarray:
+    """Angles above 0 on a fine grid at which L is real, polished."""
+
+    def f(theta):
+        return value(L, RADIUS * np.exp(1j * theta)).imag
+
+    theta = np.linspace(1e-4, np.pi / 2, 20_001)
+    change = np.flatnonzero(np.diff(np.sign(f(theta))))
+    return np.array([brentq(f, theta[k], theta[k + 1], xtol=1e-15) for k in change])
+
+
+LOOPS = {
+    "integrator": control.tf(0.02 / s),
+    "two integrators": (0.02 * s + 4e-4) / s**2,
+    "three integrators": (3 * 0.02 * s**2 + 3 * 0.02**2 * s + 0.02**3) / s**3,
+    "a pair near the arc": (s + 0.02) ** 2 / (s * (s**2 + 0.0008 * s + 1.1e-4)),
+    "a pair inside": 3e-4 / (s**2 - 0.004 * s + 6e-5) + 0.5 / (s + 1),
+    "a narrow pair on it": 1e-5 * s / (s**2 + 2e-6 * s + 1e-4 * (1 + 1e-3)) + 0.3 / (s + 0.2),
+}
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize("name", LOOPS)
+def test_the_loop_is_real_exactly_where_a_fine_grid_finds_it_real(name, sampled):
+    L = LOOPS[name] if not sampled else control.tf(control.c2d(control.ss(LOOPS[name]), SAMPLE_TIME))
+    poles = rates(np.concatenate([L.poles(), np.roots(np.polyadd(L.den[0][0], L.num[0][0]))]), float(L.dt or 0))[None]
+    at, theta = places(RADIUS, float(L.dt or 0)), angles(poles, RADIUS)
+
+    def H(w):
+        return 1 / (1 + value(L, 2 * np.arctanh(w) / L.dt if L.dt else w)) - 1
+
+    found = arc_crossings(RADIUS, theta, H(at(theta))[:, None], at, lambda point, channel, w: H(w))
+    on_axis = found.w == 0
+    assert on_axis.sum() == 1
+    assert_allclose(found.L[on_axis], value(L, np.array([RADIUS + 0j])), rtol=1e-9)
+    expected = value(L, RADIUS * np.exp(1j * real_on_the_arc(L)))
+    assert_allclose(np.sort(found.L[~on_axis].real), np.sort(expected.real), rtol=1e-8)
+    gain = -1 / found.L.real
+    for g in gain[np.abs(gain) < 1e6]:  # a root of 1 + g L lies on the circle there
+        assert np.abs(np.abs(closed(L, g)) / RADIUS - 1).min() < 1e-6
+
+
+def test_angles_rise_and_surround_the_poles_near_the_arc():
+    poles = RADIUS * np.array([[1.001 * np.exp(0.7j), 1.001 * np.exp(-0.7j), 50.0], [0.0, -3, 100.0]])
+    theta = angles(poles, RADIUS)
+    assert theta.shape[0] == 2 and (np.diff(theta, axis=1) >= 0).all()
+    assert theta[:, 0].tolist() == [0, 0] and (theta[:, -1] == np.pi / 2).all()
+    assert (np.abs(theta[0] - 0.7) < 4e-3).sum() >= 5
+
+
+def judged(system) -> bool:
+    return bool(stability(system).nonzero_stable[0])
+
+
+def outside_decay(system) -> bool:
+    """All roots with abs(s) >= RADIUS have a negative real part."""
+    roots = rates(np.linalg.eigvals(close_wires(system)[0][0]), system.dt)
+    return bool((roots.real[np.abs(roots) >= RADIUS] < 0).all())
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize("k", [1.5, 0.3])
+def test_a_real_root_that_leaves_the_disc_to_the_right_ends_the_gain_interval(k, sampled):
+    # s + a - g k a: the root g k a - a leaves the disc at g = (a + radius) / (k a); the other one, of a fast lag, is -3
+    a = 0.02
+    L = -k * a / (s + a) * 3 / (s + 3)
+    if sampled:
+        L = control.tf(control.c2d(control.ss(L), SAMPLE_TIME))
+    system = open_system(L)
+    expected = -1 / value(L, np.array([RADIUS + 0j]))[0].real
+    found = margins(system, "torque")
+    assert found.stable[0] == (k < (a + RADIUS) / a)
+    assert_allclose([found.gain_increase[0, 0], found.increase_frequency[0, 0]], [expected, 0.0], rtol=1e-9, atol=1e-12)
+    for factor, expectation in ((0.99, True), (1.01, False)):
+        late = scaled(system, factor * expected)
+        assert judged(late) is outside_decay(late) is expectation
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_pair_that_leaves_the_disc_to_the_right_ends_the_gain_interval(sampled):
+    # s^2 - 2 d s + g w^2: the pair grows slowly, and leaves the disc where g w^2 = radius^2
+    d, w = 0.002, 0.007
+    L = w**2 / (s**2 - 2 * d * s) * 3 / (s + 3)
+    if sampled:
+        L = control.tf(control.c2d(control.ss(L), SAMPLE_TIME))
+    system = open_system(L)
+    found = margins(system, "torque")
+    assert found.stable[0] or found.drifts[0]
+    gain = found.gain_increase[0, 0]
+    assert_allclose(gain, (RADIUS / w) ** 2, rtol=0.02)  # the fast lag moves it a little
+    leaves = closed(L, gain)
+    leaves = leaves[np.abs(leaves.imag) > 1e-4]
+    assert_allclose(np.abs(leaves), RADIUS, rtol=1e-7)
+    assert (leaves.real > 0).all()
+    assert_allclose(found.increase_frequency[0, 0], np.abs(leaves.imag).max(), rtol=1e-3)
+    for factor, expectation in ((0.99, True), (1.01, False)):
+        late = scaled(system, factor * gain)
+        assert judged(late) is outside_decay(late) is expectation
+
+
+def test_without_a_disc_a_real_root_ends_the_interval_at_zero():
+    system = replace(open_system(-0.5 * 0.02 / (s + 0.02) * 3 / (s + 3)), horizon=np.inf)
+    assert_allclose(margins(system, "torque").gain_increase[0, 0], 2.0, rtol=1e-12)
