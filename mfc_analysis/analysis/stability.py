@@ -57,10 +57,8 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
         roots = tuple(np.zeros(0, np.complex128) if one is None else one.slow.roots for one in known.parts)
         motion = tuple(none if one is None or not one.slow.block.size else one.slow.moves(horizon) for one in known.parts)
     drifts = np.array([moved.any() for moved in motion], bool).reshape(m)
-    good = np.asarray(decay & held, bool)
-    return Stability(
-        good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), np.full(m, whole.nx - system.nx), roots, motion, horizon
-    )
+    good, idle = np.asarray(decay & held, bool), np.full(m, whole.nx - system.nx)
+    return Stability(good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), idle, roots, motion, horizon)
 
 
 def growth(system: OpenSystem) -> Array:
