@@ -52,8 +52,11 @@ class _Layout:
         return int(self.wires[wire] if samples == 0 else self.first[wire] + samples - 1)
 
 
-def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
+def sampled(system: OpenSystem, sample_time: float, *, on_wires: bool = False) -> OpenSystem:
     """The loop with a sampled controller: discrete (``dt`` = ``sample_time`` [s]), dead time included, wires still cut.
+
+    ``on_wires``: whole samples of dead time are no states but stay on their wires (``wire_delay``), as z^-d; fractions of a sample are
+    included all the same.
 
     States keep their order and names; the held values of dead times follow, such as "torque[-1] joint", one sample old. The analysis
     points are those of the continuous loop except "position": its rate wire has no exact sampled counterpart of "s times the position",
@@ -64,7 +67,7 @@ def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
     loop is already sampled.
     """
     h = checks.number("sample_time", sample_time, low=0.0, strict=True)
-    layout = _layout(system, h)
+    layout, late = _layout(system, h, on_wires)
     nx, nu, ny = system.nx, system.nu, system.ny
     Z = np.zeros((len(system.times), nx + layout.registers, layout.size))
     Z[:, layout.plant] = _advanced(system, layout, h, h)
@@ -92,7 +95,7 @@ def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
         C=np.ascontiguousarray(rows[:, :, :n]),
         D=np.ascontiguousarray(rows[:, :, n:]),
         state_names=system.state_names + _names(system, layout),
-        wire_delay=np.zeros(system.nw),
+        wire_delay=late,
         points=tuple(point for point in system.points if point != "position"),
         plant_states=tuple(system.plant_states) + tuple(range(nx, n)),
         dt=h,
@@ -100,7 +103,8 @@ def sampled(system: OpenSystem, sample_time: float) -> OpenSystem:
     )
 
 
-def _layout(system: OpenSystem, h: float) -> _Layout:
+def _layout(system: OpenSystem, h: float, on_wires: bool) -> tuple[_Layout, Array]:
+    """The indices, and (nw,) the dead time [s] that stays on the wires."""
     if system.dt:
         raise Unsupported("sample_time", h, f"a continuous loop; this one is already sampled, every {system.dt:g} s")
     nx, nu, nw = system.nx, system.nu, system.nw
@@ -119,16 +123,18 @@ def _layout(system: OpenSystem, h: float) -> _Layout:
     samples = system.wire_delay / h
     whole = np.floor(samples + WHOLE).astype(int)
     part = np.where(samples - whole > WHOLE, samples - whole, 0.0)
+    late = whole * h if on_wires else np.zeros(nw)
+    whole = np.zeros_like(whole) if on_wires else whole
     depth = whole + (part > 0)
     allowed = np.isin(np.arange(nw), drive)
     if "force" in system.wires:
         allowed[system.wires["force"]] = True
-    if np.any(depth[~allowed]):
+    if np.any(depth[~allowed]) or np.any(late[~allowed]):
         raise Unsupported("sample_time", h, f"dead time on the {name} and force wires only")
     registers = int(depth.sum())
     first = np.where(depth > 0, nx + np.cumsum(depth) - depth, -1)
     external, wires = nx + registers + np.arange(nu), nx + registers + nu + np.arange(nw)
-    return _Layout(plant, control, external, wires, drive, whole, part, first, nx + registers + nu + nw, registers)
+    return _Layout(plant, control, external, wires, drive, whole, part, first, nx + registers + nu + nw, registers), late
 
 
 def _advanced(system: OpenSystem, layout: _Layout, h: float, time: float) -> Array:

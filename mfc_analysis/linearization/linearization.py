@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
     from mfc_analysis.analysis.steps import Step
 
+MANY_SAMPLES = 60  #: samples in transit above which the verdict counts roots instead of computing all of them
+
 About = Literal["reference", "equilibrium", "simulation"]
 
 
@@ -111,12 +113,23 @@ class Linearization:
     @cached_property
     def opened(self) -> OpenSystem:
         """The loop with every wire cut: the model that ``analysis`` works on."""
-        out = replace(open_system(self.equations, self.times, self.point.x, self.coordinates), horizon=self.horizon)
-        if self.dt:
-            from mfc_analysis.analysis.sampled import sampled
+        return self._sampled() if self.dt else self._continuous
 
-            out = sampled(out, self.dt)
-        return out
+    @property
+    def _continuous(self) -> OpenSystem:
+        return replace(open_system(self.equations, self.times, self.point.x, self.coordinates), horizon=self.horizon)
+
+    def _sampled(self, on_wires: bool = False) -> OpenSystem:
+        from mfc_analysis.analysis.sampled import sampled
+
+        return sampled(self._continuous, self.dt, on_wires=on_wires)
+
+    @property
+    def _samples_in_transit(self) -> float:
+        """States that the dead times of a sampled loop take."""
+        hardware = self.equations.hardware
+        late = self.equations.n * (hardware.delay or 0.0) + 6 * (hardware.force_delay or 0.0)
+        return late / self.dt if self.dt else 0.0
 
     def _opened_for(self, *at: str | None) -> OpenSystem:
         """``opened``; for the encoder, in state coordinates, in which the rate wire is the derivative of the position wire."""
@@ -156,6 +169,8 @@ class Linearization:
     @cached_property
     def stability(self) -> Stability:
         """The verdict at each time over the horizon, dead time included."""
+        if self._samples_in_transit > MANY_SAMPLES:
+            return stability(self._sampled(on_wires=True))
         dead = self.delay or self.force_delay
         return stability(self.opened if dead or self.dt else _only_a(self))
 
