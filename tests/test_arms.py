@@ -1,0 +1,117 @@
+"""Verdicts, margins and gain intervals on arms at random poses, against numpy's eigenvalues: kp = 0, no feedback, walls, lag, friction, samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import mfc_analysis as mfc
+
+ARMS = ("ur3", "ur5", "ur10", "panda", "xarm7", "kinova")
+HORIZON = 100.0
+NEAR = 1e-7  #: of the fastest root: a real part below this is on the boundary
+HARDWARE = {
+    "ideal": mfc.Hardware(),
+    "lag": mfc.Hardware(torque_lag=2e-3),
+    "dead time": mfc.Hardware(delay=1e-3),
+    "sampled": mfc.Hardware(sample_time=1e-3),
+}
+
+
+def pose(robot: mfc.Robot, rng: np.random.Generator) -> np.ndarray:
+    low = np.maximum(np.nan_to_num(robot.limits.lower, neginf=-2.5), -2.5)
+    high = np.minimum(np.nan_to_num(robot.limits.upper, posinf=2.5), 2.5)
+    while True:
+        q = rng.uniform(low, np.maximum(high, low + 0.1))
+        if np.linalg.svd(robot.jacobian(q))[1][-1] > 0.08:
+            return q
+
+
+def drawn(arm: str, seed: int) -> Iterator[tuple[str, mfc.Robot, object, object, np.ndarray]]:
+    """Name, robot, law, environment and pose of each case of one arm at one random pose."""
+    rng = np.random.default_rng([seed, ARMS.index(arm)])
+    robot = mfc.robots.load(arm)
+    q, k = pose(robot, rng), 10 ** rng.uniform(2, 8)
+    kfp, kfi = rng.uniform(0.2, 2), rng.uniform(0.5, 5)
+    yield "9.10", robot, mfc.laws.ComputedTorque(kp=0.0, kd=5.0), None, q
+    yield "9.9", robot, mfc.laws.TorqueFeedforward(), None, q
+    for axes in ("z", "xz", "xyz"):
+        wall = mfc.Environment(stiffness=k, axes=axes, preload=10.0)
+        pressed = np.array([c in axes for c in "xyz"] + [False] * 3, float)
+        yield f"9.21 on {axes}", robot, mfc.laws.OpenLoopForce(10 * pressed), wall, q
+        yield f"9.22 on {axes}", robot, mfc.laws.ForcePI(10 * pressed, kfp * pressed, kfi * pressed), wall, q
+        yield f"9.23 on {axes}", robot, mfc.laws.DampedForcePI(10 * pressed, kfp * pressed, kfi * pressed, kdamp=40.0), wall, q
+    wall, Z = mfc.Environment(stiffness=k, axes="z", preload=10.0), np.eye(6)[2]
+    law = mfc.laws.HybridMotionForce(10 * Z, kp=100.0, kd=20.0, kfp=kfp, kfi=kfi, kdamp=40.0, constraints=[Z])
+    yield "9.24", robot, law, wall, q
+
+
+def rates(A: np.ndarray, dt: float) -> np.ndarray:
+    s = np.linalg.eigvals(A).astype(complex)
+    with np.errstate(divide="ignore"):
+        return np.log(s) / dt if dt else s
+
+
+def clear(s: np.ndarray) -> bool:
+    """Whether no root lies near the edge of the disc or, outside it, near the axis: numpy's eigenvalues have these errors too."""
+    s = s[np.isfinite(s)]
+    fast = s[np.abs(s) >= 1 / HORIZON]
+    off_axis = fast.size == 0 or bool(np.abs(fast.real).min() > NEAR * np.abs(s).max())
+    return off_axis and bool((np.abs(np.abs(s) * HORIZON - 1) > 0.2).all())
+
+
+def decays(s: np.ndarray) -> bool:
+    fast = s[np.abs(s) >= 1 / HORIZON]
+    return bool(fast.size and fast.real.max() < 0)
+
+
+def check(name: str, hardware: str, loop: mfc.ClosedLoop) -> tuple[bool, int]:
+    """Whether the verdict was compared, and how many gain intervals; an AssertionError names the case."""
+    lin = loop.linearize([0.0], horizon=HORIZON)
+    verdict, margins = lin.stability, lin.margins()
+    said = f"{name} on {loop.robot.name}, {hardware}, q = {loop.ref(0.0).q.tolist()}"
+    compared, intervals = False, 0
+    s = rates(lin.A[0], lin.dt)
+    if not lin.delay and clear(s):
+        compared = True
+        assert bool(verdict.nonzero_stable[0]) == decays(s), said
+        assert int(verdict.slow[0]) + int(verdict.idle[0]) == np.count_nonzero(np.abs(s) < 1 / HORIZON), said
+    metrics = (margins.gain_increase, margins.gain_reduction, margins.phase_deg, margins.delay, margins.sensitivity_peak)
+    assert all(np.isnan(x).any() != bool(verdict.nonzero_stable[0]) for x in metrics), said
+    if verdict.nonzero_stable[0] and not lin.delay:
+        for j in range(loop.robot.n):
+            intervals += sum(_boundary(lin, j, float(x[0, j]), said) for x in (margins.gain_increase, margins.gain_reduction))
+    return compared, intervals
+
+
+def _boundary(lin: mfc.Linearization, joint: int, factor: float, said: str) -> bool:
+    """At 99 % of the way to the end of the gain interval the loop decays, at 101 % it does not, by the eigenvalues with that gain."""
+    if not 1e-4 < factor < 1e6:
+        return False
+    L = lin.loop(0, channel=joint)
+    A, B, C, D = (np.asarray(x) for x in (L.A, L.B, L.C, L.D))
+    found = []
+    for f in (1 + 0.99 * (factor - 1), 1 + 1.01 * (factor - 1)):
+        s = rates(A - f * B @ C / (1 + f * D[0, 0]), lin.dt)
+        fast = s[np.abs(s) >= 1 / HORIZON]
+        if np.abs(fast.real).min(initial=np.inf) < NEAR * np.abs(s[np.isfinite(s)]).max():
+            return False
+        found.append(bool(fast.size == 0 or fast.real.max() < 0))
+    assert found == [True, False], f"{said}: joint {joint}, gain {factor}"
+    return True
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_verdicts_and_margins_on_an_arm_at_a_random_pose(arm: str) -> None:
+    compared, intervals = 0, 0
+    for seed in (0, 1):
+        for name, robot, law, environment, q in drawn(arm, seed):
+            for kind, hardware in HARDWARE.items():
+                if kind == "dead time" and seed:
+                    continue
+                loop = mfc.ClosedLoop(robot, law, mfc.trajectories.Hold(q), environment=environment, hardware=hardware)
+                one, more = check(name, kind, loop)
+                compared, intervals = compared + one, intervals + more
+    assert compared >= 40 and intervals >= 20
