@@ -26,6 +26,7 @@ from mfc_analysis.maths.arrays import Array, Complex, on_axis
 NEAR = 1e-5  #: relative distance from a pole of G within which f is computed without G
 CHUNK = 2_000_000  #: complex numbers solved for at a time
 PHASES = 48  #: relative phases tried of two dead times
+BESIDE = 1e-11  #: relative distance from a pole of G below which f is taken beside it: nearer, its rate has no digits
 NO_LOOP = 1e-12  #: a loop gain below this fraction of the largest entry of G is no loop
 
 
@@ -89,11 +90,17 @@ class Delayed:
         z = np.asarray(np.exp(s * self.dt), np.complex128)
         return z, np.asarray(self.dt * z)
 
+    def _beside_poles(self, s: Complex) -> tuple[Complex, Complex]:
+        """``z``, moved to the unstable side where it lies on a pole of G."""
+        z, slope = self.z(np.asarray(s, np.complex128))
+        near = np.abs(z[:, None] - self.open_poles).min(axis=1, initial=np.inf) <= BESIDE * np.abs(z)
+        aside = np.maximum(BESIDE * np.abs(z), 1e-300) * (np.exp(1j * np.angle(z)) if self.dt else 1.0)
+        return np.where(near, z + aside, z), slope
+
     def response(self, s: Complex) -> tuple[Complex, Complex]:
         """G (k, nd, nd) and dG/ds at s (k,)."""
         nx, nd = len(self.A), len(self.T)
-        z, slope = self.z(np.asarray(s, np.complex128))
-        z = np.where((z[:, None] == self.open_poles).any(axis=1), z * (1 + 1e-14) + 1e-300, z)
+        z, slope = self._beside_poles(s)
         G, dG = np.empty((z.size, nd, nd), np.complex128), np.empty((z.size, nd, nd), np.complex128)
         step = max(1, CHUNK // max(1, nx * nx))
         for k in range(0, z.size, step):
@@ -111,9 +118,8 @@ class Delayed:
         loop = E * G
         K = np.eye(len(self.T)) - loop
         dK = self.T[:, None] * loop - E * dG
-        z, slope = self.z(s)
+        z, slope = self._beside_poles(s)
         up, down = z[:, None] - self.open_poles, z[:, None] - poles
-        up = np.where(up == 0, 1e-300, up)
         phase = np.angle(np.linalg.slogdet(K)[0]) + np.angle(up).sum(axis=1) - np.angle(down).sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             rate = np.trace(_solved(K, dK), axis1=1, axis2=2) + slope * ((1 / up).sum(axis=1) - (1 / down).sum(axis=1))

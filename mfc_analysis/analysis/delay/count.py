@@ -21,7 +21,8 @@ from mfc_analysis.errors import NotConverged
 from mfc_analysis.maths.arrays import Array, Bools, Complex, on_axis
 
 MOST = 60_000  #: samples of one contour
-CONTRACTS = 0.8  #: loop gain below which the phase of det(I - E G) is known
+CONTRACTS = 0.8  #: loop gain below which the phase of det(I - E G) is known,
+FROM_POLES = 0.5  #: between two samples no further apart than this fraction of their distance from the poles of G: it stays below one
 NARROW = 1e-10  #: relative step at which a root lies on the contour
 LADDER = 12  #: first samples in a decade
 NUDGES = (1.0, 1 + 3e-4, 1 - 3e-4)  #: factors of the radius, tried in turn where a root lies on the circle
@@ -138,13 +139,13 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
         turned = np.exp(1j * u)
         return (on_axis(u), np.full(u.size, 1j)) if axis else (np.asarray(center + radius * turned), np.asarray(1j * radius * turned))
 
-    def values(u: Array) -> tuple[Complex, Array, Complex, Complex, Bools]:
+    def values(u: Array) -> tuple[Complex, Array, Complex, Complex, Bools, Array]:
         s, ds = at(u)
         phase, rate, loop = point.value(s, poles)
         calm = point.contraction(loop) < CONTRACTS if axis and not point.dt else np.zeros(u.size, bool)
-        return s, phase, rate * ds, loop, calm
+        return s, phase, rate * ds, loop, calm, np.abs(s[:, None] - point.open_poles).min(axis=1, initial=np.inf)
 
-    s, phase, rate, loop, calm = values(u)
+    s, phase, rate, loop, calm, gap = values(u)
     narrow = NARROW if axis else NARROW / max(1.0, abs(center) / radius)
     while True:
         step = np.diff(u)
@@ -153,7 +154,7 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
         with np.errstate(invalid="ignore", over="ignore"):
             predicted = 0.5 * step * (rate[:-1] + rate[1:]).imag
             fine = (step * steep <= 1) & (np.abs(turn) <= np.pi / 4) & (np.abs(turn - predicted) <= 0.3)
-        leap = calm[:-1] & calm[1:]
+        leap = calm[:-1] & calm[1:] & (step <= FROM_POLES * np.minimum(gap[:-1], gap[1:]))
         done = step <= narrow * (np.abs(u[1:]) if axis else 1.0)
         bad = np.flatnonzero(~(fine | leap | done))
         if not bad.size:
@@ -163,7 +164,8 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
         middle = 0.5 * (u[bad] + u[bad + 1])
         new = values(middle)
         u = np.insert(u, bad + 1, middle)
-        s, phase, rate, loop, calm = (np.insert(old, bad + 1, add, axis=0) for old, add in zip((s, phase, rate, loop, calm), new, strict=True))
+        old = s, phase, rate, loop, calm, gap
+        s, phase, rate, loop, calm, gap = (np.insert(one, bad + 1, add, axis=0) for one, add in zip(old, new, strict=True))
     if leap.any():
         known = _principal(loop) + _continuous(s, point.open_poles) - _continuous(s, poles)
         turn = np.where(leap & ~fine, np.diff(known), turn)
