@@ -8,13 +8,15 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings, strategies as st
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 
 from mfc_analysis.analysis.margins import Margins, margins
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import HORIZON, OpenSystem
 from mfc_analysis.errors import UnknownPoint
-from tests.analysis.conftest import open_system, random_loops, scaled
+from tests.analysis.conftest import from_matrix, mixed, open_system, random_loops, scaled
 
 s = control.tf("s")
 METRICS = ("gain_reduction", "gain_increase", "phase_deg", "delay", "sensitivity_peak", "crossover")
@@ -269,3 +271,92 @@ def test_results_hold_arrays_of_points_by_channels():
     found = margins(open_system(1 / s), "torque")
     assert isinstance(found, Margins)
     assert all(getattr(found, name).shape == (1, 1) for name in METRICS)
+
+
+HORIZONS = st.floats(-1, 4).map(lambda x: 10**x)
+RATES = st.floats(-3, 3).map(lambda x: 10**x)
+
+
+def with_root(factor: float, angle: float, horizon: float, fast: float, seed: int) -> np.ndarray:
+    """A real matrix with a root (or a pair) at factor/horizon e^(j angle) and a root at -fast, in other coordinates."""
+    size = factor / horizon
+    if angle in (0.0, np.pi):
+        A = np.diag([size * np.cos(angle), -fast])
+    else:
+        re, im = size * np.cos(angle), size * np.sin(angle)
+        A = np.array([[re, im, 0.0], [-im, re, 0.0], [0.0, 0.0, -fast]])
+    return mixed(A, np.random.default_rng(seed))
+
+
+@settings(max_examples=80)
+@given(
+    horizon=HORIZONS,
+    fast=st.floats(2, 1e3),
+    angle=st.one_of(st.sampled_from((0.0, np.pi)), st.floats(0.02, np.pi / 2 - 0.02), st.floats(np.pi / 2 + 0.02, np.pi - 0.02)),
+    sampled=st.booleans(),
+    seed=st.integers(0, 1000),
+)
+def test_a_root_outside_the_disc_is_judged_and_one_inside_is_slow(horizon, fast, angle, sampled, seed):
+    dt = 0.02 * horizon / fast if sampled else 0.0
+    for factor in (1.01, 0.99):
+        A = with_root(factor, angle, horizon, fast / horizon, seed)
+        if sampled:
+            A = expm(A * dt)
+        found = stability(replace(from_matrix(A, dt=dt), horizon=horizon))
+        count = 1 if angle in (0.0, np.pi) else 2
+        assert found.slow[0] == (count if factor < 1 else 0)
+        assert bool(found.nonzero_stable[0]) == (factor < 1 or angle > np.pi / 2)
+        assert_allclose(np.abs(found.slow_roots[0]), np.full(found.slow[0], factor / horizon), rtol=1e-6)
+        without = stability(replace(from_matrix(A, dt=dt), horizon=np.inf))
+        assert without.slow[0] == 0 and bool(without.stable[0]) == (angle > np.pi / 2)
+
+
+@settings(max_examples=80)
+@given(seed=st.integers(0, 100_000), nx=st.integers(2, 7), scale=RATES)
+def test_without_a_horizon_the_verdict_is_the_sign_of_every_root(seed, nx, scale):
+    system = random_loops(np.random.default_rng(seed), 6, nx, 1)
+    system = replace(system, A=scale * system.A, B=scale * system.B, horizon=np.inf)
+    found = stability(system)
+    roots = np.linalg.eigvals(system.A + system.B[:, :, 1:] @ system.C[:, 1:])
+    clear = (np.abs(roots.real) > 1e-7 * np.abs(roots)).all(axis=1)
+    assert (found.stable == (roots.real < 0).all(axis=1))[clear].all()
+    assert not found.slow.any() and not found.drifts.any()
+
+
+@settings(max_examples=60)
+@given(
+    seed=st.integers(0, 100_000),
+    nx=st.integers(2, 6),
+    scale=RATES,
+    horizon=HORIZONS,
+    delay=st.sampled_from((0.0, 0.0, 0.05, 1.0)),
+    free=st.booleans(),
+)
+def test_the_verdict_and_the_margins_agree(seed, nx, scale, horizon, delay, free):
+    system = random_loops(np.random.default_rng(seed), 4, nx, 1)
+    system = replace(system, A=scale * system.A, B=scale * system.B, wire_delay=np.array([delay / scale]), horizon=horizon)
+    if free:  # the first state is a position that nothing holds
+        system.A[:, :, 0], system.C[:, :, 0] = 0.0, 0.0
+    verdict, found = stability(system), margins(system, "torque")
+    assert (found.stable == verdict.stable).all() and (found.drifts == verdict.drifts).all()
+    for name in METRICS:
+        assert (np.isnan(getattr(found, name)[:, 0]) == ~verdict.nonzero_stable).all()
+    assert (found.gain_reduction[verdict.nonzero_stable] <= 1).all() and (found.gain_increase[verdict.nonzero_stable] >= 1).all()
+    assert (verdict.stable <= verdict.nonzero_stable).all()
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 100_000), nx=st.integers(2, 5), horizon=HORIZONS)
+def test_the_gain_interval_ends_where_the_verdict_over_the_horizon_changes(seed, nx, horizon):
+    system = replace(random_loops(np.random.default_rng(seed), 4, nx, 1), horizon=horizon)
+    found = margins(system, "torque")
+    eps = 1e-5
+    for i in np.flatnonzero(~np.isnan(found.gain_increase[:, 0])):
+        one, up, down = system.at(np.array([i])), found.gain_increase[i, 0], found.gain_reduction[i, 0]
+        assume(up > 1 + 1e-3 and down < 1 - 1e-3)
+        for g in np.geomspace(max(down, 1e-3) * (1 + eps), min(up, 1e3) * (1 - eps), 15):
+            held = stability(scaled(one, g))
+            assert held.nonzero_stable[0] or not held.held[0]
+        for g in (up * (1 + eps), down * (1 - eps)):
+            if 1e-6 < g < 1e6:
+                assert not stable(scaled(one, g))
