@@ -21,8 +21,8 @@ from mfc_analysis.errors import NotConverged
 from mfc_analysis.maths.arrays import Array, Bools, Complex, on_axis
 
 MOST = 60_000  #: samples of one contour
-CONTRACTS = 0.8  #: loop gain below which the phase of det(I - E G) is known,
-FROM_POLES = 0.5  #: between two samples no further apart than this fraction of their distance from the poles of G: it stays below one
+CONTRACTS = 0.8  #: loop gain below which the phase of det(I - E G) is known; nearer to one where the direct gain is larger
+FROM_POLES = 2.5  #: times 1 - that gain and the distance from the poles of G: the longest step between two samples on which it stays below one
 NARROW = 1e-10  #: relative step at which a root lies on the contour
 LADDER = 12  #: first samples in a decade
 NUDGES = (1.0, 1 + 3e-4, 1 - 3e-4)  #: factors of the radius, tried in turn where a root lies on the circle
@@ -120,12 +120,18 @@ def _along_axis(point: Delayed, poles: Complex, edge: float) -> Walk:
     return _walk(point, poles, w, edge, axis=True)
 
 
+def _contracts(point: Delayed) -> float:
+    """The loop gain from which on the phase is not known: ``CONTRACTS``, or halfway from a larger direct gain to one."""
+    direct = float(point.contraction(point.D[None].astype(complex))[0])
+    return max(CONTRACTS, 0.5 * (1 + direct)) if direct < 1 else CONTRACTS
+
+
 def _until_contracting(point: Delayed, w: Array) -> Array:
     """The frequencies to well above every pole and up to where the loop gain is below one for good; more are added where it is not at the last."""
-    above = int(np.searchsorted(w, 3 * float(np.abs(point.places).max())))
+    limit, above = _contracts(point), int(np.searchsorted(w, 3 * float(np.abs(point.places).max())))
     for _ in range(12):
         size = point.contraction(point.response(on_axis(w))[0])
-        last = max(above, int(np.flatnonzero(size >= CONTRACTS).max(initial=0)) + 2)
+        last = max(above, int(np.flatnonzero(size >= limit).max(initial=0)) + 2)
         if last < w.size:
             return w[: last + 1]
         w = np.concatenate([w, w[-1] * np.geomspace(1, 1e3, 3 * LADDER)[1:]])
@@ -142,9 +148,10 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
     def values(u: Array) -> tuple[Complex, Array, Complex, Complex, Bools, Array]:
         s, ds = at(u)
         phase, rate, loop = point.value(s, poles)
-        calm = point.contraction(loop) < CONTRACTS if axis and not point.dt else np.zeros(u.size, bool)
+        calm = point.contraction(loop) < limit if axis and not point.dt else np.zeros(u.size, bool)
         return s, phase, rate * ds, loop, calm, np.abs(s[:, None] - point.open_poles).min(axis=1, initial=np.inf)
 
+    limit = _contracts(point)
     s, phase, rate, loop, calm, gap = values(u)
     narrow = NARROW if axis else NARROW / max(1.0, abs(center) / radius)
     while True:
@@ -154,7 +161,7 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
         with np.errstate(invalid="ignore", over="ignore"):
             predicted = 0.5 * step * (rate[:-1] + rate[1:]).imag
             fine = (step * steep <= 1) & (np.abs(turn) <= np.pi / 4) & (np.abs(turn - predicted) <= 0.3)
-        leap = calm[:-1] & calm[1:] & (step <= FROM_POLES * np.minimum(gap[:-1], gap[1:]))
+        leap = calm[:-1] & calm[1:] & (step <= FROM_POLES * (1 - limit) * np.minimum(gap[:-1], gap[1:]))
         done = step <= narrow * (np.abs(u[1:]) if axis else 1.0)
         bad = np.flatnonzero(~(fine | leap | done))
         if not bad.size:

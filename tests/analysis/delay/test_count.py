@@ -145,3 +145,16 @@ def test_a_disc_holds_the_roots_of_lambert_in_it(kT, radius, x, y):
 def test_a_contour_that_takes_too_many_samples_says_so():
     with pytest.raises(NotConverged, match="samples"):
         unstable_roots(delayed(1e5 / (s + 1), 100.0), RADIUS)
+
+
+@settings(max_examples=60)
+@given(d=st.floats(0.5, 0.995), sign=st.sampled_from((1, -1)), k=st.floats(-20, 20), T=st.floats(0.05, 3))
+def test_a_direct_gain_below_one_leaves_the_count_of_nyquists_plot(d, sign, k, T):
+    L = sign * d + k / (s + 1)
+    end = 3 * abs(k) / (1 - d) + 10
+    w = np.union1d(np.linspace(0, min(end, 100), 30_001), np.linspace(0, end, 60_001))
+    g = 1 + (sign * d + k / (1j * w + 1)) * np.exp(-1j * w * T)
+    assume(np.abs(g).min() > 1e-3)
+    turn = np.unwrap(np.angle(g))
+    encircled = -(turn[-1] - turn[0] - np.angle(g[-1])) / np.pi  # far away g - 1 is below one: the arc at infinity keeps to the right half plane
+    assert unstable_roots(delayed(L, T), 0.0)[0] == round(encircled)

@@ -55,7 +55,9 @@ def test_a_real_root_beside_the_circle_is_slow_or_judged(factor, slow, sign):
     assert (judged.slow, judged.decays) == (0, sign > 0)
 
 
-@pytest.mark.parametrize(("d", "stable"), [(0.7, True), (-0.7, True), (1.1, False), (-1.1, False), (1.0, False)])
+@pytest.mark.parametrize(
+    ("d", "stable"), [(0.7, True), (-0.7, True), (0.9, True), (-0.99, True), (0.999, True), (1.1, False), (-1.1, False), (1.0, False)]
+)
 def test_a_direct_gain_of_one_or_more_round_a_dead_time_is_unstable(d, stable):
     # w = -d w(t - T) + ...: infinitely many roots with the real part log(d) / T
     assert verdict(open_system(d * (s + 2) / (s + 2.1), delay=0.2)).decays == stable
