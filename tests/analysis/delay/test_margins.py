@@ -98,3 +98,26 @@ def later(system, wire: int, tau: float):
     delay = system.wire_delay.copy()
     delay[wire] += tau
     return replace(system, wire_delay=delay)
+
+
+@pytest.mark.parametrize("T", [0.1, 2.0])
+def test_a_real_root_that_leaves_the_disc_to_the_right_ends_the_gain_interval(T):
+    # s + a - g k a e^(-sT) 3 / (s + 3) = 0 at s = radius
+    a, k, radius = 0.02, 0.3, 0.01
+    system = open_system(-k * a / (s + a) * 3 / (s + 3), delay=T)
+    expected = (radius + a) / (k * a) * np.exp(radius * T) * (radius + 3) / 3
+    found = margins(system, "torque")
+    assert_allclose([found.gain_increase[0, 0], found.increase_frequency[0, 0]], [expected, 0], rtol=1e-9)
+    assert stable(scaled(system, 0.99 * expected)) and not stable(scaled(system, 1.01 * expected))
+
+
+def test_a_pair_that_leaves_the_disc_to_the_right_ends_the_gain_interval():
+    d, w, radius = 0.002, 0.007, 0.01
+    system = open_system(w**2 / (s**2 - 2 * d * s) * 3 / (s + 3), delay=0.5)
+    found = margins(system, "torque")
+    gain, at = found.gain_increase[0, 0], found.increase_frequency[0, 0]
+    root = np.sqrt(radius**2 - at**2) + 1j * at
+    assert 0 < at < radius
+    assert_allclose(root**2 - 2 * d * root + gain * w**2 * 3 / (root + 3) * np.exp(-0.5 * root), 0, atol=1e-12)
+    assert stable(scaled(system, 0.99 * gain)) and not stable(scaled(system, 1.01 * gain))
+    assert_allclose(margins(replace(system, horizon=1e3), "torque").gain_increase, np.nan)  # the pair is not slow then
