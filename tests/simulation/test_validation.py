@@ -84,7 +84,7 @@ def loop_on(name, equation):
     if equation == "9.10":
         return mfc.ClosedLoop(robot.with_payload(2.0), L.ComputedTorque(100, 100, 20), hold, controller_model=robot)
     if equation == "9.16":
-        return mfc.ClosedLoop(robot, L.TaskComputedTorque(100, 100, 20, null_damping=5.0 if robot.n > 6 else 0), hold)
+        return mfc.ClosedLoop(robot, L.TaskComputedTorque(100, 100, 20, null_damping=5.0 if robot.n > 6 else 0, inverse="euclidean"), hold)
     wall = mfc.Environment(1e4, 50.0, axes="z", preload=20.0)
     return mfc.ClosedLoop(robot, L.DampedForcePI([0, 0, 20, 0, 0, 0], 0.5, 2.0, [60, 60, 60, 5, 5, 5]), hold, environment=wall)
 

@@ -113,15 +113,15 @@ class Delayed:
     def value(self, s: Complex, poles: Complex) -> tuple[Array, Complex, Complex]:
         """Of g = f / prod(s - poles) at s (k,): its phase [rad] modulo a turn and (dg/ds) / g, each (k,); and E G (k, nd, nd)."""
         s = np.asarray(s, np.complex128)
-        G, dG = self.response(s)
-        E = np.exp(-s[:, None] * self.T)[:, :, None]
-        loop = E * G
-        K = np.eye(len(self.T)) - loop
-        dK = self.T[:, None] * loop - E * dG
-        z, slope = self._beside_poles(s)
-        up, down = z[:, None] - self.open_poles, z[:, None] - poles
-        phase = np.angle(np.linalg.slogdet(K)[0]) + np.angle(up).sum(axis=1) - np.angle(down).sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            G, dG = self.response(s)
+            E = np.exp(-s[:, None] * self.T)[:, :, None]
+            loop = E * G
+            K = np.eye(len(self.T)) - loop
+            dK = self.T[:, None] * loop - E * dG
+            z, slope = self._beside_poles(s)
+            up, down = z[:, None] - self.open_poles, z[:, None] - poles
+            phase = np.angle(np.linalg.slogdet(K)[0]) + np.angle(up).sum(axis=1) - np.angle(down).sum(axis=1)
             rate = np.trace(_solved(K, dK), axis1=1, axis2=2) + slope * ((1 / up).sum(axis=1) - (1 / down).sum(axis=1))
         rate = np.asarray(rate)
         near = np.flatnonzero((np.abs(up) < NEAR * np.abs(z)[:, None]).any(axis=1))  # beside a pole of G: from the matrix, which has none
@@ -179,7 +179,7 @@ def perron(G: Array) -> Array:
 
 def _solved(matrix: Complex, right: Complex) -> Complex:
     try:
-        return np.asarray(np.linalg.solve(matrix, right))
+        return np.asarray(np.linalg.solve(matrix, right), np.complex128)
     except np.linalg.LinAlgError:  # a few of them are exactly singular
         tiny = 1e-14 * (np.abs(matrix).max(axis=(1, 2), keepdims=True) + 1e-300)
-        return np.asarray(np.linalg.solve(matrix + tiny * np.eye(matrix.shape[-1]), right))
+        return np.asarray(np.linalg.solve(matrix + tiny * np.eye(matrix.shape[-1]), right), np.complex128)

@@ -13,6 +13,7 @@ its phase is known however fast e^(-jwT) turns; the contour ends where this hold
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -93,9 +94,9 @@ def _mirrored(point: Delayed) -> Complex:
     if point.dt:
         size = np.maximum(np.abs(c), 1e-12)
         size = np.where(size > 1, 1 / size, size)
-        return np.asarray(c / np.maximum(np.abs(c), 1e-12) * np.minimum(size, 0.98))
+        return np.asarray(c / np.maximum(np.abs(c), 1e-12) * np.minimum(size, 0.98), np.complex128)
     least = 1e-3 * float(np.abs(point.places).min())
-    return np.asarray(-np.maximum(np.abs(c.real), np.maximum(0.1 * np.abs(c), least)) + 1j * c.imag)
+    return np.asarray(-np.maximum(np.abs(c.real), np.maximum(0.1 * np.abs(c), least)) + 1j * c.imag, np.complex128)
 
 
 def _angles(point: Delayed, radius: float, last: float) -> Array:
@@ -143,7 +144,9 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
 
     def at(u: Array) -> tuple[Complex, Complex]:
         turned = np.exp(1j * u)
-        return (on_axis(u), np.full(u.size, 1j)) if axis else (np.asarray(center + radius * turned), np.asarray(1j * radius * turned))
+        if axis:
+            return on_axis(u), np.full(u.size, 1j, np.complex128)
+        return np.asarray(center + radius * turned, np.complex128), np.asarray(1j * radius * turned, np.complex128)
 
     def values(u: Array) -> tuple[Complex, Array, Complex, Complex, Bools, Array]:
         s, ds = at(u)
@@ -171,7 +174,7 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
         middle = 0.5 * (u[bad] + u[bad + 1])
         new = values(middle)
         u = np.insert(u, bad + 1, middle)
-        old = s, phase, rate, loop, calm, gap
+        old: tuple[Any, ...] = (s, phase, rate, loop, calm, gap)
         s, phase, rate, loop, calm, gap = (np.insert(one, bad + 1, add, axis=0) for one, add in zip(old, new, strict=True))
     if leap.any():
         known = _principal(loop) + _continuous(s, point.open_poles) - _continuous(s, poles)

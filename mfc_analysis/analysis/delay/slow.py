@@ -26,7 +26,8 @@ def slow_part(point: Delayed, radius: float, count: int) -> tuple[Complex, Array
     horizon, before = 1 / radius, None
     points = FEWEST
     while True:
-        s = radius * np.exp(1j * np.pi * (np.arange(points // 2) + 0.5) / (points // 2))  # the upper half: the lower one is its conjugate
+        angles = np.pi * (np.arange(points // 2) + 0.5) / (points // 2)  # the upper half: the lower one is its conjugate
+        s = np.asarray(radius * np.exp(1j * angles), np.complex128)
         R = _resolvent(point, s)
         whole, half = (_moment(R, s * np.exp(s * t)) for t in (horizon, horizon / 2))
         if (before is not None and np.abs(whole - before).max() <= AGREES * np.abs(whole).max()) or points >= MOST:

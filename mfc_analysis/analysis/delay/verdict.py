@@ -77,25 +77,27 @@ def chain(point: Delayed) -> Complex:
     """Approximate unstable roots, rightmost first: s = jw + log(lambda) / T, lambda the eigenvalues of E G, then Newton."""
     T, places = float(point.T.max()), point.places
     even = np.geomspace(0.3 / T, max(1e2 * float(np.abs(places).max()), 3 / T), 160)
-    w = np.unique(np.concatenate([even, (np.abs(places.imag)[:, None] + np.pi / T * BESIDE).ravel()]))
+    beside = np.abs(places.imag)[:, None] + np.pi / T * BESIDE
+    w = np.unique(np.concatenate([even, beside.ravel()])).astype(float)
     w = w[(w >= 0.3 / T) & (w * point.dt < np.pi)]
     with np.errstate(all="ignore"):
-        s = (1j * w[:, None] + np.log(_eigenvalues(point, on_axis(w))) / T).ravel()
+        s = np.asarray((1j * w[:, None] + np.log(_eigenvalues(point, on_axis(w))) / T).ravel(), np.complex128)
+        step = np.full(s.shape, np.inf, np.complex128)
         for k in range(NEWTON):
             s = s[np.isfinite(s) & (s.real > -1 / T) & (s.real * T < MOST_GROWTH) & (s.imag > 0)]
             if not s.size:
                 return s
             if k < 3:
                 found = _eigenvalues(point, s)
-                s = s + np.log(found[np.arange(s.size), np.abs(np.log(found)).argmin(axis=1)]) / T
+                step = np.asarray(-np.log(found[np.arange(s.size), np.abs(np.log(found)).argmin(axis=1)]) / T, np.complex128)
             else:
-                step = 1 / point.value(s, np.zeros(0, np.complex128))[1]
-                s = s - step
+                step = np.asarray(1 / point.value(s, np.zeros(0, np.complex128))[1], np.complex128)
+            s = np.asarray(s - step, np.complex128)
     s = s[np.isfinite(s) & (s.real > NARROW * np.abs(s)) & (s.imag > 0) & (np.abs(step) < 1e-3 * s.real)]
     s = s[np.argsort(-s.real)]
-    return np.asarray(s[np.concatenate([[True], np.abs(np.diff(s)) > 1e-9 * np.abs(s[1:])])] if s.size else s)
+    return np.asarray(s[np.concatenate([[True], np.abs(np.diff(s)) > 1e-9 * np.abs(s[1:])])] if s.size else s, np.complex128)
 
 
 def _eigenvalues(point: Delayed, s: Complex) -> Complex:
     """(k, nd) eigenvalues of E G at s (k,)."""
-    return np.asarray(np.linalg.eigvals(point.response(s)[0] * np.exp(-s[:, None] * point.T)[:, :, None]))
+    return np.asarray(np.linalg.eigvals(point.response(s)[0] * np.exp(-s[:, None] * point.T)[:, :, None]), np.complex128)
