@@ -48,4 +48,8 @@ def _resolvent(point: Delayed, s: Complex) -> Complex:
     z, slope = point.z(s)
     E = np.exp(-s[:, None] * point.T)[:, :, None]
     back = np.linalg.solve(np.eye(len(point.T)) - E * point.D, E * point.C)
-    return np.asarray(np.linalg.inv(z[:, None, None] * np.eye(len(point.A)) - point.A - point.B @ back) * slope[:, None, None])
+    closed = z[:, None, None] * np.eye(len(point.A)) - point.A - point.B @ back
+    try:
+        return np.asarray(np.linalg.inv(closed) * slope[:, None, None])
+    except np.linalg.LinAlgError:  # a root lies exactly on a point of the circle
+        return _resolvent(point, s * (1 + 1e-9))

@@ -11,7 +11,7 @@ from mfc_analysis.analysis.delay.count import NARROW, roots_within, unstable_roo
 from mfc_analysis.analysis.delay.slow import slow_part
 from mfc_analysis.analysis.spectrum import Spectrum, inside
 from mfc_analysis.analysis.system import OpenSystem
-from mfc_analysis.errors import NotConverged
+from mfc_analysis.errors import BadArgument, NotConverged
 from mfc_analysis.maths.arrays import Array, Complex, on_axis
 
 CERTAINLY = 1 - 1e-9  #: a direct gain round a dead time from here on has an infinite chain of unstable roots
@@ -33,7 +33,13 @@ class DelayedVerdict:
 
 
 def delayed_verdicts(system: OpenSystem, known: Spectrum) -> list[DelayedVerdict]:
-    """The verdict at each point of a loop with dead time, without idle integrals. Raises ``NotConverged`` where it cannot be settled."""
+    """The verdict at each point of a loop with dead time, without idle integrals.
+
+    Raises ``BadArgument`` for a horizon shorter than the dead time, ``NotConverged`` where the verdict cannot be settled.
+    """
+    longest = float(system.wire_delay.max(initial=0.0))
+    if system.horizon < longest:
+        raise BadArgument("horizon", system.horizon, f"at least the dead time, {longest:g} s")
     return [_verdict(system, known, i, point) for i, point in enumerate(delayed_points(system))]
 
 

@@ -338,9 +338,9 @@ def pole_section(view: View) -> Section:
     root = view.evidence.slowest_root()
     line = view.verdict.line("stable")
     if np.isneginf(root.value) or np.isnan(root.value):
-        finding = "All poles are at zero: " + (line.note or "no error decays") + "."
+        finding = "Every root is slow: " + (line.note or "no error decays") + "."
     else:
-        finding = f"The rightmost nonzero pole is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
+        finding = f"The rightmost pole that is not slow is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
     body: list[Block] = [Row((blocks.pole_map(view),)), blocks.pole_rows(view)]
     numbers: dict[str, Any] = {}
     if view.lin.delay or view.lin.force_delay:
