@@ -340,7 +340,7 @@ def pole_section(view: View) -> Section:
     if np.isneginf(root.value) or np.isnan(root.value):
         finding = "Every root is slow: " + (line.note or "no error decays") + "."
     else:
-        finding = f"The rightmost pole that is not slow is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
+        finding = f"The rightmost fast pole is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
     body: list[Block] = [Row((blocks.pole_map(view),)), blocks.pole_rows(view)]
     numbers: dict[str, Any] = {}
     if view.lin.delay or view.lin.force_delay:
