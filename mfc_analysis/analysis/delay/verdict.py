@@ -18,6 +18,7 @@ CERTAINLY = 1 - 1e-9  #: a direct gain round a dead time from here on has an inf
 BESIDE = np.arange(-16, 17) + 0.5  #: half turns of e^(-sT) beside a place at which an unstable root is sought,
 NEWTON = 9  #: and steps, the first three from eigenvalue to eigenvalue
 MOST_GROWTH = 50.0  #: largest growth in one dead time of a root that is sought
+LONGEST = 20.0  #: horizons: the largest dead time that is judged
 TRIED = 6  #: places at which an unstable root is sought before the roots are counted
 
 
@@ -35,11 +36,11 @@ class DelayedVerdict:
 def delayed_verdicts(system: OpenSystem, known: Spectrum) -> list[DelayedVerdict]:
     """The verdict at each point of a loop with dead time, without idle integrals.
 
-    Raises ``BadArgument`` for a horizon shorter than the dead time, ``NotConverged`` where the verdict cannot be settled.
+    Raises ``BadArgument`` for a dead time much longer than the horizon, ``NotConverged`` where the verdict cannot be settled.
     """
     longest = float(system.wire_delay.max(initial=0.0))
-    if system.horizon < longest:
-        raise BadArgument("horizon", system.horizon, f"at least the dead time, {longest:g} s")
+    if system.horizon < longest / LONGEST:
+        raise BadArgument("horizon", system.horizon, f"at least {longest / LONGEST:g} s, a twentieth of the dead time")
     return [_verdict(system, known, i, point) for i, point in enumerate(delayed_points(system))]
 
 
