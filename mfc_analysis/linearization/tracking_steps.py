@@ -29,7 +29,7 @@ class StepMetrics:
 
     times: Array  #: (m,) [s]
     channels: tuple[str, ...]  #: (k,)
-    settling: Array  #: (m, k) [s] to 2 %; inf where a root at zero integrates the step
+    settling: Array  #: (m, k) [s] to 2 %; inf where a slow root integrates the step
     overshoot: Array  #: (m, k) fraction of the final value
 
 

@@ -347,7 +347,7 @@ def arm_section() -> Section:
         Table("A UR5 pressing with 20 N on a surface of 10 kN/m, torque lag 2 ms.", columns, tuple(rows)),
         response(lin, "force", 2, "UR5, 9.23, fz", span=(0.1, 3e3)),
         response(lin, "torque", j, f"UR5, 9.23, {t.channels[j]}", span=(0.1, 3e3)),
-        poles_table([(name, x.poles()[0]) for name, x in lins.items()], 5, "The slowest nonzero closed-loop poles."),
+        poles_table([(name, x.poles()[0]) for name, x in lins.items()], 5, "The slowest closed-loop poles that are not slow roots."),
     )
     numbers = {
         "verdicts": {name: row[1] for name, row in zip(lins, rows, strict=True)},

@@ -141,7 +141,7 @@ def damping_section() -> Section:
             limit=0.0,
             title="9.24 without and with damping",
         ),
-        "Rightmost nonzero pole over the stiffness of the wall.",
+        "Rightmost pole that is not slow over the stiffness of the wall.",
         f"Rightmost pole over stiffness: {bare.min():.3g} to {bare.max():.3g} per second without damping, "
         f"{repaired.min():.3g} to {repaired.max():.3g} with it.",
     )

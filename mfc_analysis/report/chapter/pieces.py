@@ -85,7 +85,7 @@ def pole_map(values: Complex, name: str, path: Complex | None = None) -> Figure:
     return Figure(
         partial(plots.poles, kept, path=others),
         f"Poles of {name}.",
-        f"Pole map of {name}: rightmost nonzero pole {written(rightmost)} per second.",
+        f"Pole map of {name}: rightmost pole that is not slow {written(rightmost)} per second.",
     )
 
 

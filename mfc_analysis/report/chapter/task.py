@@ -337,18 +337,18 @@ def redundant_section() -> Section:
     apart = float(np.abs(run.q[-1] - other.q[-1]).max())
     finding = (
         f"Without null-space damping the Panda's loop {said(without)}; with 10 1/s it {said(damped)}, "
-        f"with {int(damped.neutral[0])} neutral pole: the posture in the null space."
+        f"with {int(damped.neutral[0])} slow root: the posture in the null space."
     )
     columns = (
         Column("Null-space damping", numeric=False),
         Column("verdict", numeric=False),
-        Column("neutral poles"),
+        Column("slow roots that do not drift"),
         Column("coordinates", numeric=False),
     )
     rows = tuple((name, in_words(bool(x.stable[0]), bool(x.drifts[0])), int(x.neutral[0]), x.coordinates) for name, x in lins.items())
     body = (
         Table("Panda holding its tool pose.", columns, rows),
-        poles_table([(name, x.poles()[0]) for name, x in lins.items()], 4, "The slowest nonzero poles."),
+        poles_table([(name, x.poles()[0]) for name, x in lins.items()], 4, "The slowest poles that are not slow roots."),
         Paragraph(
             f"With an initial error of 0.2 rad at the first joint, the tool error decreases from {written(float(np.linalg.norm(run.error[0])))} to "
             f"{written(float(np.linalg.norm(run.error[-1])), 2)} in 1 s; the arm comes to rest in another posture. "

@@ -96,8 +96,8 @@ def open_loop(designs: Designs) -> Section:
         tuple(rows),
     )
     finding = (
-        "The loops are neutral, not stable: errors are not corrected. They are for demonstration; their failed checks do not count in the verdict"
-        " of the report."
+        "Every root is slow, so nothing holds the loops: errors are not corrected, and the loops are not stable. They are for demonstration;"
+        " their failed checks do not count in the verdict of the report."
     )
     return Section(
         "9.1 Velocity feedforward: open loop",

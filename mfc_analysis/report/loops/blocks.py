@@ -64,10 +64,10 @@ def sensitivity(view: View) -> KeyFacts:
 
 
 def three_numbers(view: View) -> KeyFacts:
-    """The three key metrics of a loop: rightmost nonzero pole, phase margin and delay margin."""
+    """The three key metrics of a loop: rightmost pole that is not slow, phase margin and delay margin."""
     w, m = view.margins.worst(), len(view.times)
     root = view.evidence.slowest_root()
-    value = Number(root.value, "1/s", infinite="no nonzero pole", undefined="none")
+    value = Number(root.value, "1/s", infinite="every root is slow", undefined="none")
     if np.isneginf(root.value):
         value = Number(0.0, "1/s")
     known = 1.0 if view.stable else np.nan  # margins are not defined if the loop is unstable at any time
@@ -240,7 +240,7 @@ def step_words(run: StepRun) -> str:
     """A step response as text."""
     found = run.linear
     if found.outcome.name == "RAMPS":
-        first = "the linear response does not settle (a pole at zero integrates it)"
+        first = "the linear response does not settle within the horizon (a slow root integrates it)"
     elif found.outcome.name == "GROWS":
         first = "the linear response grows"
     elif not np.isfinite(found.overshoot):

@@ -81,7 +81,7 @@ class View:
 
     @cached_property
     def stable(self) -> bool:
-        """Whether all nonzero poles are stable at all times, so that the margins are defined."""
+        """Whether the roots that are not slow are stable at all times, so that the margins are defined."""
         return bool(self.evidence.judged.all())
 
     @cached_property
@@ -133,7 +133,7 @@ class View:
 
     @property
     def poles(self) -> Complex:
-        """(m, nx) closed-loop poles, slowest first, those at zero exact; without dead time."""
+        """(m, nx) closed-loop poles, slowest first; without dead time."""
         return self.evidence.spectrum.poles
 
     @property
