@@ -76,8 +76,9 @@ def assert_stable(loop: ClosedLoop, times: ArrayLike = (0.0,), *, allow_drift: b
     verdict = asked.check(loop, times)
     lines = (verdict.line("stable"),)
     allowed = lines[0].status is Status.WATCH and allow_drift
-    more = (", allow_drift=True" if allow_drift else "") + ("" if horizon == HORIZON else f", horizon={horizon!r}")
-    call = f"from mfc_analysis.testing import assert_stable\nassert_stable(loop, times{more})"
+    more = ["allow_drift=True"] if allow_drift else []
+    more += [asked.code.removeprefix("mfc.Requirements(").removesuffix(")")] if asked.horizon != HORIZON else []
+    call = f"from mfc_analysis.testing import assert_stable\nassert_stable({', '.join(['loop', 'times', *more])})"
     _decide("assert_stable", loop, verdict, lines, lines[0].status is Status.PASS or allowed, call)
 
 

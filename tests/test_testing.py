@@ -104,6 +104,19 @@ def test_neutral_is_not_stable():
     assert "neutral" in message(assert_stable, loop, allow_drift=True)
 
 
+@pytest.mark.parametrize("horizon", [1e4, math.inf])
+def test_the_horizon_decides_and_is_in_the_code_of_a_failure(horizon):
+    creeping = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.JointPID(kp=4.0, ki=1e-3, kd=2.0), hold(q=0.0))  # a root at -ki/kp
+    assert creeping.linearize().slow == [1] and creeping.linearize(horizon=horizon).slow == [0]
+    assert_stable(creeping, horizon=horizon)
+    assert_margins(creeping, phase_deg=30, horizon=horizon)
+    undamped = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.JointPID(kp=4.0), hold(q=0.0))
+    said = message(assert_stable, undamped, allow_drift=True, horizon=horizon)
+    with pytest.raises(AssertionError, match="FAIL"):
+        exec(said.split("to reproduce it:")[1].replace("\n    ", "\n"), {})
+    assert f"horizon={horizon!r}".replace("=inf", "=float('inf')") in message(assert_margins, undamped, phase_deg=30, horizon=horizon)
+
+
 def test_requirements_are_asserted_as_an_object():
     req = mfc.Requirements(phase_deg=89.9)
     assert_requirements(velocity_p(), req, [0.0])

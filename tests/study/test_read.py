@@ -39,6 +39,13 @@ def test_loops_change_some_keys_and_a_table_that_names_itself_anew_is_replaced(t
     assert overridden({"a": {"b": 1, "c": 2}}, {"a": {"b": 3}}) == {"a": {"b": 3, "c": 2}}
 
 
+def test_the_horizon_is_a_key_of_a_study_and_of_each_loop(tmp_path):
+    assert [one.requirements.horizon for one in study(tmp_path, BASE).loops] == [100.0]
+    text = "horizon = 10\n" + BASE + '[[loop]]\nname = "short"\n[[loop]]\nname = "by sign"\nhorizon = inf\n'
+    assert [one.requirements.horizon for one in study(tmp_path, text).loops] == [10.0, np.inf]
+    assert "horizon" in str(refused(tmp_path, "horizon = 0\n" + BASE))
+
+
 def test_a_file_that_is_not_there_or_not_toml_is_named(tmp_path):
     with pytest.raises(StudyError, match=r"none\.toml: cannot be read"):
         read(tmp_path / "none.toml")
