@@ -24,6 +24,12 @@ from mfc_analysis.trajectories import Hold, Sinusoid
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
 
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes minutes goes first, so that two processes end together."""
+    items.sort(key=lambda item: "[pyright]" not in item.nodeid)
+
+
 #: the acceptance list; the last five are of example-robot-data
 ROBOTS = ("single_joint", "planar_2r", "ur5", "panda", "xarm7", "z1", "talos_left_arm", "kinova")
 ARMS = ROBOTS[2:]  #: six or seven joints: a tool-space law has a Jacobian of full rank
