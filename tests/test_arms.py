@@ -89,7 +89,7 @@ def check(name: str, hardware: str, loop: mfc.ClosedLoop) -> tuple[bool, int]:
 
 def _boundary(lin: mfc.Linearization, joint: int, factor: float, said: str) -> bool:
     """At 99 % of the way to the end of the gain interval the loop decays, at 101 % it does not, by the eigenvalues with that gain."""
-    if not 1e-4 < factor < 1e6:
+    if not 1e-4 < factor < 1e4:  # beyond, L at this frequency is rounding
         return False
     L = lin.loop(0, channel=joint)
     A, B, C, D = (np.asarray(x) for x in (L.A, L.B, L.C, L.D))

@@ -37,7 +37,8 @@ def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | No
 
     The search varies every environment with a preload (all of them where none has one): it scales the stiffness so that the largest
     translational entry has the value, and keeps the damping. The force at the reference does not change: the preload compensates
-    penetration times the change of stiffness. The scan starts at 1e-8 ``upper``; 0 if stable nowhere.
+    penetration times the change of stiffness. The scan starts at 1e-8 ``upper`` and ends at the first loss; 0 if stable nowhere. Notes say
+    where softer walls, or stiffer ones beyond a loop that holds on some in between only, differ.
 
     Raises BadArgument: a loop without an environment, ``upper`` not a positive number up to 1e15.
     """
@@ -219,13 +220,17 @@ def _limit(
     progress: bool,
 ) -> Limit:  # fmt: skip
     t = _times(loop, times)
+
+    def holds(x: float) -> bool:
+        return stable(make(x), t, horizon)
+
     with shown(progress, name) as tick:
 
-        def holds(x: float) -> bool:
+        def seen(x: float) -> bool:
             tick(x)
-            return stable(make(x), t, horizon)
+            return holds(x)
 
-        bracket = first_loss(holds, values, skip=values[0] > 0)
+        bracket = first_loss(seen, values, skip=values[0] > 0)
     if bracket.outcome is Outcome.NOWHERE:
         there = make(float(values[0]))
         said = (
@@ -242,6 +247,9 @@ def _limit(
         notes += ("the loop drifts: the limit is that of the roots that are not slow",)
     if bracket.outcome is Outcome.UNLIMITED:
         return Limit(np.inf, name, unit, bracket.outcome, f"stable up to {bracket.holds:g} {unit}", last, None, bracket.evaluations, notes)
+    if bracket.before is not None:  # an island: what lies beyond it may be the larger part
+        again = next((float(x) for x in values[values > bracket.lost] if holds(float(x))), None)
+        notes += (f"stable again at {again:.4g} {unit}",) if again else ()
     beyond = make(bracket.lost)
     return Limit(bracket.holds, name, unit, bracket.outcome, f"beyond it {_root(beyond, t, horizon)}", last, beyond, bracket.evaluations, notes)
 

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ import pytest
 import mfc_analysis as mfc
 from mfc_analysis import design
 from mfc_analysis.design.searches import Outcome
+from mfc_analysis.design.stiffness import at_stiffness
 from mfc_analysis.dynamics.environment import stiffened
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.simulation.settling import settles
+from tests.test_arms import loops
 
 T, M, KDAMP, KFP, KFI = 5e-3, 2.0, 40.0, 2.0, 3.0
 K_MAX = (KDAMP * (1 + KFP) - M * KFI) / (T * KFP * (1 + KFP))
@@ -192,6 +195,15 @@ def test_a_drifting_loop_is_judged_by_its_other_roots():
     found = design.max_delay(loop)
     assert float(found) == pytest.approx(math.pi / 2 / 20.0, rel=1e-5)
     assert any("drifts" in note for note in found.notes)
+
+
+def test_an_island_says_that_stiffer_walls_hold_again():
+    loop = next(loop for name, _, loop in loops("ur3", 50, ["friction"]) if name == "9.23 on xyz")
+    found = design.max_stiffness(loop, 1e3)
+    assert found == pytest.approx(3.2460, rel=1e-4) and "also not stable" in str(found)
+    again = float(re.findall(r"stable again at (\S+) N/m", str(found))[0])
+    holds = [at_stiffness(loop, k).linearize().stability.nonzero_stable[0] for k in (3.2, 3.3, 0.74 * again, again)]
+    assert holds == [True, False, False, True]
 
 
 def test_a_moving_reference_is_judged_along_its_path():

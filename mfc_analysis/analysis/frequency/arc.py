@@ -12,7 +12,8 @@ import numpy as np
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.maths.arrays import Array, Complex, Ints
 
-EVEN = 9  #: angles on the arc,
+FIRST = (0.0, 1e-4, 1e-3, 1e-2, 0.03)  #: angles on the arc: at 0 L is real, just above it a pair of roots may pass,
+EVEN = 9  #: even ones,
 AROUND = np.array([-3.0, -1.0, 0.0, 1.0, 3.0])  #: and around each pole near it, in units of its distance
 NEAR = 4.0  #: a pole within this factor of the radius lies near the arc
 
@@ -32,7 +33,8 @@ def places(radius: float, dt: float) -> Place:
 
 def angles(poles: Complex, radius: float) -> Array:
     """(m, k) increasing angles in [0, pi/2] that resolve the poles (m, nx) [1/s] near the arc; some are repeated."""
-    even = np.broadcast_to(np.linspace(0, np.pi / 2, EVEN), (len(poles), EVEN))
+    fixed = np.concatenate([FIRST, np.linspace(0, np.pi / 2, EVEN)[1:]])
+    even = np.broadcast_to(fixed, (len(poles), len(fixed)))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.abs(poles) / radius
         near = (ratio < NEAR) & (ratio > 1 / NEAR)
@@ -48,7 +50,7 @@ def arc_crossings(radius: float, theta: Array, H: Complex, at: Place, evaluate: 
     ``H``: (m, n, k) at the angles ``theta`` (m, k), of which the first is 0.
     """
     f = H.imag
-    point, channel, k = np.nonzero((f[..., 1:-1] >= 0) != (f[..., 2:] >= 0))
+    point, channel, k = np.nonzero(((f[..., 1:-1] >= 0) != (f[..., 2:] >= 0)) & (theta[:, None, 1:-1] > 0))
     a, b = theta[point, k + 1], theta[point, k + 2]
     fa, fb = f[point, channel, k + 1], f[point, channel, k + 2]
     x, found = b.copy(), H[point, channel, k + 2]

@@ -50,6 +50,8 @@ LOOPS = {
     "three integrators": (3 * 0.02 * s**2 + 3 * 0.02**2 * s + 0.02**3) / s**3,
     "a pair near the arc": (s + 0.02) ** 2 / (s * (s**2 + 0.0008 * s + 1.1e-4)),
     "a pair inside": 3e-4 / (s**2 - 0.004 * s + 6e-5) + 0.5 / (s + 1),
+    "a pair that leaves beside zero": (6.375e-5 - 0.00702 * s) / (s * (s - 0.00898)),
+    "a pair that comes in beside zero": s * (s - 0.00898) / ((6.375e-5 - 0.00702 * s) * (s + 3)),
     "a narrow pair on it": 1e-5 * s / (s**2 + 2e-6 * s + 1e-4 * (1 + 1e-3)) + 0.3 / (s + 0.2),
 }
 
