@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +17,8 @@ Kind = TypeVar("Kind")
 
 #: kinds of Python and numpy objects that numpy would read as real numbers
 _NOT_REAL = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.datetime64, np.timedelta64)
+
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 
 def array(argument: str, value: Any, shape: tuple[int | None, ...] | None = None, takes: str | None = None) -> Array:
@@ -57,6 +60,12 @@ def whole(argument: str, value: Any, low: int, high: int, takes: str | None = No
     if isinstance(value, _NOT_REAL) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
         raise BadArgument(argument, value, takes or f"a whole number from {low} to {high}")
     return int(value)
+
+
+def decimal(text: str) -> float | None:
+    """The finite number of a text in plain decimals: digits 0 to 9, a point, an exponent. None for ``1_0``, ``1,5``, full-width digits, ``nan``."""
+    value = float(text) if _DECIMAL.fullmatch(text) else np.inf
+    return value if np.isfinite(value) else None
 
 
 def names(argument: str, value: Any, known: Collection[str]) -> tuple[str, ...]:

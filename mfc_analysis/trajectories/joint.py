@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 SHORTEST, LONGEST = 1e-6, 1e12  #: [s] of a motion
 LARGEST = 100_000_000  #: bytes of a CSV file
+LATE, LATE_FACTOR = 1e4, 100.0  #: a first time above this many seconds and this many times the motion's length is a reading of a clock
 PERIOD_TOLERANCE = 1e-9  #: relative, within which a ratio of frequencies counts as rational
 PERIOD_DENOMINATOR = 1000  #: largest numerator or denominator of such a ratio
 
@@ -188,6 +189,9 @@ class Waypoints(JointReference):
 
     The interpolation is the quintic spline (four times continuously differentiable) with zero velocity and acceleration at both ends;
     between two positions it is ``Quintic``. Positions (m,) are those of one joint.
+
+    Raises ``BadArgument``, also for times that are readings of a clock, such as seconds since 1970: the first is above 1e4 s and above 100 times
+    the length of the motion, which would be held at its first position all through the times of a simulation.
     """
 
     times: ArrayLike
@@ -198,6 +202,7 @@ class Waypoints(JointReference):
         times = checks.times(self.times)
         if times.size < 2:
             raise BadArgument("times", self.times, "at least two times [s]")
+        _check_start("times", times)
         positions = checks.array("positions", self.positions)
         if positions.ndim == 1:
             positions = positions[:, None]
@@ -228,12 +233,14 @@ def from_csv(path: str | os.PathLike[str]) -> Waypoints:
     """The ``Waypoints`` of a table: time [s] in the first column, one joint [rad or m] in each other column.
 
     A header line is optional, as are lines that are empty or start with ``#``; columns are separated by commas, semicolons, tabs or blanks.
+    Times start near 0: readings of a clock, such as seconds since 1970, are refused, not shifted, as in ``Waypoints``.
+
     Raises ``BadArgument``, which names the file and line.
     """
     takes = "the path of a CSV file that can be read"
     try:
         text = files.read(checks.path("path", path, takes), LARGEST).decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as why:
+    except (OSError, UnicodeError) as why:
         raise BadArgument("path", str(path), f"{takes} ({getattr(why, 'strerror', None) or 'it is not UTF-8 text'})") from why
     rows: list[list[float]] = []
     header_allowed = True
@@ -241,9 +248,9 @@ def from_csv(path: str | os.PathLike[str]) -> Waypoints:
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         cells = _cells(line)
-        values = [_float(cell) for cell in cells]
-        bad = [cell for cell, value in zip(cells, values, strict=True) if value is None or not math.isfinite(value)]
-        if header_allowed and all(value is None for value in values):
+        values = [checks.decimal(cell) for cell in cells]
+        bad = [cell for cell, value in zip(cells, values, strict=True) if value is None]
+        if header_allowed and all(value is None for value in values) and not all(map(_meant_as_number, cells)):
             header_allowed = False
             continue
         header_allowed = False
@@ -260,6 +267,7 @@ def from_csv(path: str | os.PathLike[str]) -> Waypoints:
     if len(rows) < 2:
         raise BadArgument("path", str(path), f"a table of at least two times; the file has {len(rows)}")
     table = np.array(rows)
+    _check_start(str(path), table[:, 0])
     return Waypoints(table[:, 0], table[:, 1:])
 
 
@@ -343,8 +351,12 @@ def _cells(line: str) -> list[str]:
     return line.split()
 
 
-def _float(cell: str) -> float | None:
-    try:
-        return float(cell)
-    except ValueError:
-        return None
+def _meant_as_number(cell: str) -> bool:
+    return cell.lstrip("+-.")[:1].isnumeric() or cell.lstrip("+-").lower() in ("nan", "inf")
+
+
+def _check_start(argument: str, times: Array) -> None:
+    first, length = float(times[0]), float(times[-1] - times[0])
+    if first > max(LATE, LATE_FACTOR * length):
+        takes = f"times [s] from about 0: these are readings of a clock; subtract the first, {first!r}, from each"
+        raise BadArgument(argument, f"{length:g} s of motion that start at {first:g} s", takes)

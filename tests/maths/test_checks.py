@@ -129,3 +129,10 @@ def test_whole_numbers_names_objects_and_paths() -> None:
     ):
         with pytest.raises(BadArgument, match=r"^k: got "):
             call()
+
+
+def test_a_text_is_a_number_in_plain_decimals_only() -> None:
+    for text in ("2", "-2.50", "+.5", "7.", "1e-3", "1E+2", "007", "-0", "1" * 50):
+        assert checks.decimal(text) == float(text)
+    for text in ("", " 2", "2 ", "2\n", "2_0", "\uff12", "\u0662", "1,5", "nan", "inf", "-inf", "0x10", "1e", "e5", ".", "+", "1e400", "--1", "1d3"):
+        assert checks.decimal(text) is None

@@ -174,6 +174,7 @@ def test_bad_arguments_are_refused_by_name(make, names):
         "# made by hand\n\nt;a;b\n0;0;1\n1;1;1\n3;2;0",
         "0\t0\t1\n1\t1\t1\n3\t2\t0",
         "\ufeff0 0 1\r\n1  1 1\r\n3 2 0\r\n",
+        "time 1st 2nd\n0 0 1\n1 1 1\n3 2 0\n",
     ],
 )
 def test_a_table_with_or_without_a_header_becomes_waypoints(tmp_path, text):
@@ -193,15 +194,36 @@ def test_a_table_with_or_without_a_header_becomes_waypoints(tmp_path, text):
         ("0\n1\n", "line 1.*1 columns.*at least one joint"),
         ("0,0\n0,1\n", "line 2.*increase"),
         ("0,0\n1,\n", "line 2.*''"),
+        ("0,0\n1,1_0\n", "line 2.*'1_0'"),
+        ("0,0\n1,\uff12\n", "line 2.*'\uff12'"),
+        ("0,0;1,5\n1,0;2,5\n", "line 1.*'0,0'"),
+        ("nan,nan\n0,0\n1,1\n", "line 1.*'nan'"),
+        ("0,0\n1,1e400\n", "line 2.*'1e400'"),
         ("t,j\n0,0\n", "at least two times"),
         ("", "at least two times"),
     ],
 )
 def test_a_bad_table_names_its_line(tmp_path, text, says):
     path = tmp_path / "path.csv"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(errors.BadArgument, match=says):
         from_csv(path)
+
+
+@pytest.mark.parametrize("start", [1.7e9, 1700000000.25, 1.7e12, 345678.9])
+def test_readings_of_a_clock_are_refused_and_say_what_to_subtract(tmp_path, start):
+    path = tmp_path / "log.csv"
+    path.write_text("".join(f"{start + t!r},{t * t!r}\n" for t in range(11)))
+    with pytest.raises(errors.BadArgument, match=f"log.csv: got '10 s of motion.*subtract the first, {start!r}"):
+        from_csv(path)
+    with pytest.raises(errors.BadArgument, match=r"times: got .*readings of a clock"):
+        Waypoints(start + np.arange(11.0), np.zeros(11))
+    assert Waypoints(np.arange(11.0), np.zeros(11)).duration == 10.0
+
+
+def test_a_long_motion_and_a_late_one_are_no_clock():
+    for times in ([9e3, 9001.0], [2e4, 3e4], [-1.7e9, 0.0], [0.0, 1e11]):
+        assert Waypoints(times, [0.0, 1.0])(times[1]).q == pytest.approx(1.0)
 
 
 def test_a_table_that_is_not_there_is_refused(tmp_path):
