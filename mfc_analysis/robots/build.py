@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import cast
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from mfc_analysis.errors import BadArgument, BadRobot, UnknownName
+from mfc_analysis.errors import BadArgument, BadRobot, MfcWarning, UnknownName
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 
 Locked = str | Sequence[str] | Mapping[str, float] | None
 
 _USUAL_TOOL = "tool0"  # ROS-Industrial's name of the flange, preferred among several leaves of a chain
+_ROUNDING = 1e-3  # of the largest moment of inertia, what printed numbers of three digits may lack
 _SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit diagonal, below which it counts as singular
 
 
 def movable_joints(model: pin.Model) -> tuple[str, ...]:
-    """Names of the joints that move, in Pinocchio's order."""
+    """Names of the joints that move, in Pinocchio's order. Joint i of the model is number i - 1: Pinocchio's first is the world, "universe"."""
     return tuple(model.names[1:])
 
 
@@ -40,24 +41,23 @@ def lock(model: pin.Model, locked: Locked) -> pin.Model:
     for name, value in values.items():
         if name not in movable_joints(model):
             raise UnknownName("locked", name, movable_joints(model))
-        joint = model.joints[model.getJointId(name)]
+        ids.append(1 + movable_joints(model).index(name))
+        joint = model.joints[ids[-1]]
         if joint.nv != 1:
             raise BadRobot(f"joint {name!r} has {joint.nv} degrees of freedom: only joints with one can be locked")
         angle = checks.number(f"locked[{name!r}]", value)
         q[joint.idx_q : joint.idx_q + joint.nq] = angle if joint.nq == 1 else (np.cos(angle), np.sin(angle))
-        ids.append(model.getJointId(name))
     return _reduced(model, ids, q) if ids else pin.Model(model)
 
 
 def _reduced(model: pin.Model, ids: list[int], q: Array) -> pin.Model:
-    """Pinocchio's reduced model. It rejects a joint that shares its name with a link; such joints are renamed meanwhile."""
-    model = pin.Model(model)
-    count = Counter(f.name for f in model.frames)
-    real = {f"joint {i} of {name}": name for i, name in enumerate(model.names) if i > 0 and count[name] > 1}
-    for given, name in real.items():
-        i = model.getJointId(name)
-        model.frames[model.getFrameId(name, pin.FrameType.JOINT)].name = given
-        model.names[i] = given
+    """Pinocchio's reduced model. It rejects a name that two frames share, so all have names of their own meanwhile."""
+    model, real = pin.Model(model), {}
+    for i, frame in enumerate(list(model.frames)[1:], start=1):
+        given = f"joint {frame.parentJoint}" if frame.type == pin.FrameType.JOINT else f"frame {i}"
+        real[given], model.frames[i].name = frame.name, given
+    for i, name in enumerate(movable_joints(model), start=1):
+        real[f"joint {i}"], model.names[i] = name, f"joint {i}"
     reduced = pin.buildReducedModel(model, ids, q)
     for i, name in enumerate(reduced.names):
         reduced.names[i] = real.get(name, name)
@@ -67,9 +67,12 @@ def _reduced(model: pin.Model, ids: list[int], q: Array) -> pin.Model:
 
 
 def check_joints(model: pin.Model, mimic: Iterable[str] = ()) -> None:
-    """Raises ``BadRobot`` unless there is at least one joint, and every joint has one degree of freedom and mimics no other."""
+    """Raises ``BadRobot`` unless there is a joint, and each has a name of its own, one degree of freedom, and mimics no other."""
     if model.njoints < 2:
         raise BadRobot(f"robot {model.name!r} has no joint that moves")
+    twice = [name for name, count in Counter(movable_joints(model)).items() if count > 1]
+    if twice:
+        raise BadRobot(f"robot {model.name!r} has more than one joint named {twice[0]!r}")
     for name, joint in zip(model.names[1:], list(model.joints)[1:], strict=True):
         kind = joint.shortname().removeprefix("JointModel")
         if "Mimic" in kind:
@@ -84,6 +87,26 @@ def check_joints(model: pin.Model, mimic: Iterable[str] = ()) -> None:
         raise BadRobot(f"joint {still[0]!r} mimics another one, which is not supported: lock it, with locked={still!r}")
 
 
+def check_inertias(model: pin.Model, inertias: Mapping[str, Array]) -> None:
+    """Raises ``BadRobot`` where the inertia of a link that moves has a negative principal moment, beyond rounding.
+
+    Warns (``MfcWarning``) where one principal moment is larger than the sum of the others, which no body has; some published URDFs do.
+
+    Args:
+        inertias: (3, 3) [kg m^2] of each link, by name. A link that no joint moves is not checked: it has no effect.
+    """
+    moving = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint > 0}
+    for link in (name for name in inertias if name in moving):
+        moments = np.linalg.eigvalsh(inertias[link])
+        rounding = _ROUNDING * float(np.abs(moments).max())
+        if moments[0] < -rounding:
+            raise BadRobot(f"link {link!r}: its inertia has a negative principal moment, {moments[0]:.3g} kg m^2, which no body has")
+        if moments[2] > moments[0] + moments[1] + rounding:
+            said = ", ".join(f"{moment:.3g}" for moment in moments)
+            text = f"link {link!r}: its principal moments of inertia {said} kg m^2 are those of no body: the largest is above the sum of the others"
+            warnings.warn(text, MfcWarning, stacklevel=4)
+
+
 def check_masses(model: pin.Model) -> None:
     """Raises ``BadRobot``, which names the joint, where the mass matrix is singular, not positive or not finite."""
     for name, body in zip(model.names, model.inertias, strict=True):
@@ -95,7 +118,9 @@ def check_masses(model: pin.Model) -> None:
     rng = np.random.default_rng(9)
     best, worst, diagonal = -np.inf, np.inf, np.full(model.nv, -np.inf)
     for _ in range(4):  # a valid mass matrix may be singular at one configuration, not at four
-        M = upper_to_full(pin.crba(model, data, _configuration(model, rng.uniform(-2.0, 2.0, model.nv))))
+        M = upper_to_full(pin.crba(model, data, configuration(model, rng.uniform(-2.0, 2.0, model.nv))))
+        if not np.isfinite(M).all():
+            raise BadRobot(f"the mass matrix of {model.name!r} is not finite: a mass, an inertia or a length is too large")
         diagonal = np.maximum(diagonal, np.diag(M))
         scale = np.sqrt(np.maximum(np.diag(M), 1e-300))
         smallest = float(np.linalg.eigvalsh(M / scale[:, None] / scale)[0])
@@ -142,7 +167,7 @@ def default_tool(whole: pin.Model, model: pin.Model) -> str:
 def joint_order(model: pin.Model, joints: Sequence[str] | None) -> NDArray[np.intp]:
     """(n,) Pinocchio's velocity index of each of the user's joints; ``joints`` must name each movable joint once."""
     names = movable_joints(model)
-    index = {name: model.joints[model.getJointId(name)].idx_v for name in names}
+    index = {name: joint.idx_v for name, joint in zip(names, list(model.joints)[1:], strict=True)}
     if joints is None:
         joints = sorted(names, key=index.__getitem__)
     joints = checks.names("joints", joints, names)
@@ -182,8 +207,13 @@ def upper_to_full(M: Array) -> Array:
     return np.asarray(np.triu(M) + np.triu(M, 1).T)
 
 
-def _configuration(model: pin.Model, angles: Array) -> Array:
-    q = pin.neutral(model)
-    for joint, angle in zip(list(model.joints)[1:], angles, strict=True):
-        q[joint.idx_q : joint.idx_q + joint.nq] = angle if joint.nq == 1 else (np.cos(angle), np.sin(angle))
-    return cast(Array, q)
+def configuration(model: pin.Model, angles: Array) -> Array:
+    """(..., nq) Pinocchio's configuration at angles (..., nv) in its own order: (cos, sin) for a continuous joint."""
+    out = np.empty((*angles.shape[:-1], model.nq))
+    for j in list(model.joints)[1:]:
+        angle = angles[..., j.idx_v]
+        if j.nq == 1:
+            out[..., j.idx_q] = angle
+        else:
+            out[..., j.idx_q], out[..., j.idx_q + 1] = np.cos(angle), np.sin(angle)
+    return out

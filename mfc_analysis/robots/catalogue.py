@@ -18,7 +18,7 @@ from mfc_analysis.maths import checks
 from mfc_analysis.robots import build
 from mfc_analysis.robots.build import Locked
 from mfc_analysis.robots.robot import Robot
-from mfc_analysis.robots.urdf import moving_joints, read_urdf
+from mfc_analysis.robots.urdf import checked_urdf, read_urdf
 
 EARTH = 9.81  #: [m/s^2]
 SMALLEST, LARGEST = 1e-12, 1e12  #: SI, of the masses, inertias, lengths and friction of an embedded robot
@@ -260,7 +260,7 @@ def load(name: str, tool: str | None = None, locked: Locked = None) -> Robot:
         raise MissingRobots(name, f"the installed example-robot-data has no {entry.path}; another version may")
     text = read_urdf(path)
     if locked is None and entry.moving is not None:
-        locked = [joint for joint in moving_joints(text) if joint not in entry.moving]
+        locked = [joint for joint in checked_urdf(text).moving if joint not in entry.moving]
     robot = Robot.from_urdf(text, tool=entry.tool if tool is None else tool, locked=locked)
     return replace(robot, name=name)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import threading
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
@@ -18,12 +17,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from mfc_analysis.errors import BadArgument, BadRobot, MfcWarning, NearSingular
+from mfc_analysis.errors import BadArgument, BadRobot
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots import build
-from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION, nearest_singular
-from mfc_analysis.robots.urdf import checked_urdf, read_urdf
+from mfc_analysis.robots.limits import Limits, limits_of
+from mfc_analysis.robots.singularity import check_regular
+from mfc_analysis.robots.urdf import Urdf, checked_urdf, read_urdf
 
 Friction = Literal["urdf", "none"]
 
@@ -31,21 +31,6 @@ COULOMB_SPEED = 1e-2  #: [rad/s or m/s] width of the sign change of friction, ta
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  #: [m/s^2]
 
 _workspaces = threading.local()
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """Joint limits; ``inf`` where the model has none (a 0 velocity or torque, an empty range, a continuous joint)."""
-
-    lower: Array  #: (n,) [rad or m]
-    upper: Array  #: (n,) [rad or m]
-    velocity: Array  #: (n,) [rad/s or m/s]
-    torque: Array  #: (n,) [N m or N]
-
-    @property
-    def position(self) -> Array:
-        """(n, 2) lower and upper position [rad or m]."""
-        return np.stack([self.lower, self.upper], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,14 +81,15 @@ class Robot:
             friction: "urdf": joint damping is the viscous friction of the plant; "none": no friction. Coulomb ``friction`` is not read.
             gravity: (3,) [m/s^2] in base axes.
 
-        Raises ``BadRobot`` (not XML, no mass, mimic or floating joints), ``UnknownName`` (tool, locked, joints), ``BadArgument``.
+        Warns (``MfcWarning``) of a link whose principal moments of inertia no body has. Raises ``BadRobot`` (not XML, no mass, an invalid number,
+        mimic or floating joints), ``UnknownName`` (tool, locked, joints), ``BadArgument``.
         """
-        text, mimic = checked_urdf(read_urdf(source))
+        urdf = checked_urdf(read_urdf(source))
         try:
-            model = pin.buildModelFromXML(text)
+            model = pin.buildModelFromXML(urdf.text)
         except (ValueError, RuntimeError) as why:
             raise BadRobot("Pinocchio cannot build a model from the links and joints of this URDF") from why
-        robot = cls._from_model(model, tool, locked, joints, friction, gravity, mimic)
+        robot = cls._from_model(model, tool, locked, joints, friction, gravity, urdf)
         if isinstance(source, str) and "<" in source:
             return robot
         given = {"tool": tool, "locked": locked, "joints": joints, "friction": friction, "gravity": tuple(np.asarray(gravity, float).tolist())}
@@ -122,7 +108,7 @@ class Robot:
         """A robot from a copy of a Pinocchio model, as :meth:`from_urdf`; ``gravity=None`` keeps that of the model."""
         if not isinstance(model, pin.Model):
             raise BadArgument("model", type(model).__name__, "a pinocchio.Model")
-        return cls._from_model(model, tool, locked, joints, friction, model.gravity.linear if gravity is None else gravity, ())
+        return cls._from_model(model, tool, locked, joints, friction, model.gravity.linear if gravity is None else gravity)
 
     @classmethod
     def _from_model(
@@ -133,13 +119,13 @@ class Robot:
         joints: Sequence[str] | None,
         friction: str,
         gravity: ArrayLike,
-        mimic: Sequence[str],
+        urdf: Urdf | None = None,
     ) -> Robot:
         checks.choice("friction", friction, ("urdf", "none"))
         gravity = checks.array("gravity", gravity, (3,))
         whole, model = model, build.lock(model, locked)
         model.gravity = pin.Motion(np.array(gravity), np.zeros(3))
-        build.check_joints(model, mimic)
+        build.check_joints(model, urdf.mimic if urdf else ())
         order = build.joint_order(model, joints)
         if tool is not None and not isinstance(tool, str):
             raise BadArgument("tool", tool, "the name of a link or frame")
@@ -147,6 +133,9 @@ class Robot:
         fid = build.frame_id(model, tool)
         if model.frames[fid].parentJoint == 0:
             raise BadArgument("tool", tool, "a link that some joint moves")
+        limits_of(model, order)
+        if urdf:
+            build.check_inertias(model, urdf.inertias)
         build.check_masses(model)
         viscous = model.damping[order] if friction == "urdf" else np.zeros(model.nv)
         viscous = checks.per_joint("friction", viscous, model.nv, low=0.0)
@@ -174,15 +163,7 @@ class Robot:
     @property
     def limits(self) -> Limits:
         """Position, velocity and torque limits, in the order of ``q``; ``inf`` where there is none."""
-        lower, upper = np.full(self.n, -np.inf), np.full(self.n, np.inf)
-        for j in list(self.model.joints)[1:]:
-            low, high = self.model.lowerPositionLimit[j.idx_q], self.model.upperPositionLimit[j.idx_q]
-            if j.nq == 1 and low < high:
-                lower[j.idx_v], upper[j.idx_v] = _open(low), _open(high)
-        velocity = np.array(self.model.upperVelocityLimit if hasattr(self.model, "upperVelocityLimit") else self.model.velocityLimit)
-        torque = np.array(self.model.upperEffortLimit if hasattr(self.model, "upperEffortLimit") else self.model.effortLimit)
-        ordered = [lower, upper, _given(velocity), _given(torque)]
-        return Limits(*[_frozen(values[self.order]) for values in ordered])
+        return limits_of(self.model, self.order)
 
     @property
     def total_mass(self) -> float:
@@ -192,7 +173,7 @@ class Robot:
     @property
     def armature(self) -> Array:
         """(n,) rotor inertia reflected to each joint [kg m^2 or kg]."""
-        return _frozen(np.array(self.model.armature)[self.order])
+        return checks.per_joint("armature", self.model.armature[self.order], self.n)
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, n={self.n}, tool={self.tool!r})"
@@ -266,7 +247,7 @@ class Robot:
 
     def configuration(self, q: ArrayLike) -> Array:
         """(..., nq) Pinocchio's configuration at angles q (..., n): its order of joints, (cos, sin) for a continuous joint."""
-        return self._configuration(self._joints("q", q))
+        return build.configuration(self.model, self.to_model(self._joints("q", q)))
 
     def to_model(self, x: ArrayLike) -> Array:
         """(..., n) a vector from the user's joint order to Pinocchio's."""
@@ -296,7 +277,7 @@ class Robot:
     def bias(self, q: ArrayLike, v: ArrayLike) -> Array:
         """(..., n) h(q, v) = C(q, v) v + g(q) [N m or N], without friction."""
         q, v = self._moving(q, v)
-        x, v = self._configuration(q), self.to_model(v)
+        x, v = self.configuration(q), self.to_model(v)
         data = self._data()
         return self._each(x, lambda i: pin.nonLinearEffects(self.model, data, x[i], v[i])[self.order], (self.n,))
 
@@ -330,7 +311,7 @@ class Robot:
     def jacobian_rate(self, q: ArrayLike, v: ArrayLike) -> Array:
         """(..., 6, n) J'(q, v), the rate of the body Jacobian: V_b' = J a + J' v."""
         q, v = self._moving(q, v)
-        x, v = self._configuration(q), self.to_model(v)
+        x, v = self.configuration(q), self.to_model(v)
         data = self._data()
 
         def one(i: Any) -> Array:
@@ -346,14 +327,14 @@ class Robot:
         Warns (``MfcWarning``) above a condition number of J of 1e4; raises ``NearSingular`` above 1e6 and for fewer than six joints.
         """
         J = self.jacobian(q)
-        self._check_regular(J)
+        check_regular(self.tool, J)
         return _task_inertia(self.mass(q), J)
 
     def task_bias(self, q: ArrayLike, v: ArrayLike) -> Array:
         """(..., 6) eta = Lambda (J M^-1 h - J' v) of equation 9.15: J^T (Lambda V' + eta) is 9.7. Warns and raises as ``task_inertia``."""
         q, v = self._moving(q, v)
         J, M = self.jacobian(q), self.mass(q)
-        self._check_regular(J)
+        check_regular(self.tool, J)
         a_bias = np.linalg.solve(M, self.bias(q, v)[..., None])
         x: Array = _task_inertia(M, J) @ (J @ a_bias - self.jacobian_rate(q, v) @ v[..., None])
         return x[..., 0]
@@ -399,34 +380,11 @@ class Robot:
         q, v = np.broadcast_arrays(q, v)
         return q, v
 
-    def _configuration(self, q: Array) -> Array:
-        angles = self.to_model(q)
-        out = np.empty((*angles.shape[:-1], self.model.nq))
-        for j in list(self.model.joints)[1:]:
-            angle = angles[..., j.idx_v]
-            if j.nq == 1:
-                out[..., j.idx_q] = angle
-            else:
-                out[..., j.idx_q], out[..., j.idx_q + 1] = np.cos(angle), np.sin(angle)
-        return out
-
     def _each(self, x: Array, one: Any, shape: tuple[int, ...]) -> Array:
         out = np.empty((*x.shape[:-1], *shape))
         for i in np.ndindex(x.shape[:-1]):
             out[i] = one(i)
         return out
-
-    def _check_regular(self, J: Array) -> None:
-        if not J.size:
-            return
-        if self.n < 6:
-            raise NearSingular(self.tool, 0.0, np.inf)
-        found = nearest_singular(self.tool, np.asarray(np.linalg.svd(J, compute_uv=False), float))
-        if found.condition > REFUSE_CONDITION:
-            raise found
-        if found.condition > WARN_CONDITION:
-            metrics = f"smallest singular value {found.sigma_min:.3g}, condition number {found.condition:.3g}"
-            warnings.warn(f"the Jacobian of frame {self.tool!r} is close to singular: {metrics}", MfcWarning, stacklevel=3)
 
 
 def _task_inertia(M: Array, J: Array) -> Array:
@@ -436,19 +394,6 @@ def _task_inertia(M: Array, J: Array) -> Array:
 
 def _compatible(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
     return all(x == y or 1 in (x, y) for x, y in zip(a[::-1], b[::-1], strict=False))
-
-
-def _open(limit: float) -> float:
-    return float(np.copysign(np.inf, limit)) if abs(limit) > 1e300 else float(limit)
-
-
-def _given(values: Array) -> Array:
-    return np.where((values <= 0) | (values > 1e300), np.inf, values)
-
-
-def _frozen(values: Array) -> Array:
-    values.setflags(write=False)
-    return values
 
 
 def _in_words(values: Array) -> str:

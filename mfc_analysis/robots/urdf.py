@@ -5,20 +5,33 @@ Only links with their inertias and joints are used; geometry, materials, transmi
 
 from __future__ import annotations
 
+import codecs
 import math
 import os
+import re
+import sys
 from collections import Counter
+from dataclasses import dataclass
 from xml.etree import ElementTree
+
+import numpy as np
 
 from mfc_analysis.errors import BadArgument, BadRobot
 from mfc_analysis.maths import checks, files
+from mfc_analysis.maths.arrays import Array
 
 LARGEST = 20_000_000  #: bytes of a URDF file
 MOST_PARTS = 4000  #: links and joints of a URDF; Pinocchio ends the process on chains of ten thousands
 
+_BLANKS = " \t\r\n"  # of XML; Python's split() takes others too
 _KEPT = ("link", "joint")
-_PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics"), "fixed": ("origin", "parent", "child")}
-_JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+_PARTS = {  # what is read of an element, by its tag
+    "link": ("inertial",),
+    "inertial": ("origin", "mass", "inertia"),
+    "joint": ("origin", "parent", "child", "axis", "limit", "dynamics"),
+    "fixed": ("origin", "parent", "child"),
+}
+_NAMES = {"link": ("name",), "joint": ("name", "type"), "parent": ("link",), "child": ("link",)}  # attributes that are text, by tag
 _NUMBERS = {  # attributes that are numbers, by tag
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
@@ -27,70 +40,90 @@ _NUMBERS = {  # attributes that are numbers, by tag
     "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
     "dynamics": {"damping": 1, "friction": 1},
 }
+_REQUIRED = ("mass", "inertia", "axis")  # tags whose numbers must all be there
+_NOT_NEGATIVE = {"mass": ("value",), "limit": ("effort", "velocity"), "dynamics": ("damping", "friction")}
+_JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+_DECLARED = re.compile(rb"<\?xml\b[^>]*?\bencoding\s*=\s*[\"']([\w.:-]+)[\"']")
+_STARTS = {  # how a file starts that needs no declaration of its encoding
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16, whose mark it starts with
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+    b"<\0": "utf-16-le",
+    b"\0<": "utf-16-be",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Urdf:
+    """What is read of a URDF."""
+
+    text: str  #: links and joints only, as XML that Pinocchio reads without a word
+    moving: tuple[str, ...]  #: joints that are not fixed, in the order of the file
+    mimic: tuple[str, ...]  #: joints that mimic another one
+    inertias: dict[str, Array]  #: (3, 3) [kg m^2] of each link that has one, about its centre of mass
 
 
 def read_urdf(source: str | os.PathLike[str]) -> str:
-    """The text of a URDF given as a path or as the XML itself.
+    """The text of a URDF given as a path or as the XML itself. A file is read in the encoding of its byte order mark or XML declaration.
 
-    Raises ``BadArgument`` where there is no such file or the argument is neither.
+    Raises ``BadArgument`` where there is no such file or the argument is neither, ``BadRobot`` where the file is not in its encoding.
     """
-    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
+    if isinstance(source, str) and source.lstrip("\ufeff" + _BLANKS).startswith("<"):
         return source
     takes = "the path of a URDF file, or its XML text"
     try:
         content = files.read(checks.path("source", source, takes).expanduser(), LARGEST)
-    except (OSError, RuntimeError) as why:  # RuntimeError: a home folder that does not exist
+    except (OSError, RuntimeError, UnicodeError) as why:  # RuntimeError: a home folder that does not exist
         raise BadArgument("source", str(source), f"{takes} ({getattr(why, 'strerror', None) or why})") from why
+    declared = _DECLARED.match(content.lstrip())
+    marked = next((name for start, name in _STARTS.items() if content.startswith(start)), None)
+    encoding = marked or (declared[1].decode("ascii") if declared else "utf-8")
     try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as why:
-        raise BadRobot(f"{source} is not a URDF: it is not text") from why
+        text = content.decode(encoding)
+        if declared and not text.lstrip("\ufeff" + _BLANKS).startswith("<"):
+            raise ValueError
+    except (LookupError, ValueError) as why:
+        reason = "as its first bytes say" if marked else "which it declares" if declared else "and declares no other"
+        raise BadRobot(f"{source} is not a URDF: it is not text in the encoding {encoding}, {reason}; save it as UTF-8") from why
+    return text
 
 
-def checked_urdf(text: str) -> tuple[str, tuple[str, ...]]:
-    """The URDF reduced to links and joints, and the names of its mimic joints.
+def checked_urdf(text: str) -> Urdf:
+    """The links and joints of a URDF. A default XML namespace is left out.
 
-    Raises ``BadRobot``, which names the link or joint: not XML, no ``<robot>``, unexpanded xacro, a missing or repeated name, a missing or
-    unknown link, a floating or planar joint, an invalid number, a negative mass, a zero axis, no or several roots, a loop.
+    Raises ``BadRobot``, which names the link or joint: not XML, no ``<robot>``, unexpanded xacro, a missing or repeated name or part, a missing
+    or unknown link, a floating or planar joint, an invalid number, a negative mass, limit or friction, a zero axis, no or several roots, a loop.
     """
     try:
-        root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"))
+        root = ElementTree.fromstring(text.lstrip("\ufeff" + _BLANKS))
     except (ElementTree.ParseError, ValueError) as why:
         raise BadRobot(f"the URDF is not XML: {why}") from why
-    if root.tag != "robot":
-        raise BadRobot(f"not a URDF: its root element is <{_local(root.tag)}>, not <robot>")
-    if any(isinstance(e.tag, str) and "xacro" in e.tag for e in root.iter()):
+    namespace, brace, local = root.tag.rpartition("}")
+    if local != "robot":
+        raise BadRobot(f"not a URDF: its root element is <{local}>, not <robot>")
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(namespace + brace)
+    if any("xacro" in element.tag for element in root.iter()):
         raise BadRobot("the URDF still contains xacro tags: expand it first, with xacro arm.urdf.xacro > arm.urdf")
+    parts = [element for element in root if element.tag in _KEPT]
+    if len(parts) > MOST_PARTS:
+        raise BadRobot(f"the URDF has {len(parts)} links and joints; at most {MOST_PARTS} are allowed")
+    _check_names(parts)
     bare = ElementTree.Element("robot", {"name": root.get("name") or "robot"})
-    for element in root:
-        if element.tag in _KEPT:
-            bare.append(_stripped(element))
-    if len(bare) > MOST_PARTS:
-        raise BadRobot(f"the URDF has {len(bare)} links and joints; at most {MOST_PARTS} are allowed")
-    _check_names(bare)
-    for element in bare:
-        _check_numbers(element)
+    bare.extend([_copied(element, f"{element.tag} {element.get('name')!r}") for element in parts])
+    for joint in bare.findall("joint"):
+        _check_limit(joint)
     _check_tree(bare)
-    mimic = tuple(j.get("name", "") for j in root.findall("joint") if j.find("mimic") is not None)
-    return ElementTree.tostring(bare, encoding="unicode"), mimic
+    moving = tuple(str(j.get("name")) for j in bare.findall("joint") if j.get("type") != "fixed")
+    mimic = tuple(str(j.get("name")) for j in root.findall("joint") if j.find("mimic") is not None)
+    return Urdf(ElementTree.tostring(bare, encoding="unicode"), moving, mimic, _inertias(bare))
 
 
-def moving_joints(text: str) -> tuple[str, ...]:
-    """Names of the joints of a URDF that are not fixed, in the order of the file."""
-    checked, _ = checked_urdf(text)
-    return tuple(str(j.get("name")) for j in ElementTree.fromstring(checked).findall("joint") if j.get("type") != "fixed")
-
-
-def _stripped(element: ElementTree.Element) -> ElementTree.Element:
-    out = ElementTree.Element(element.tag, element.attrib)
-    kept = _PARTS["fixed" if element.get("type") == "fixed" else element.tag]
-    out.extend(child for child in element if child.tag in kept)
-    return out
-
-
-def _check_names(robot: ElementTree.Element) -> None:
+def _check_names(parts: list[ElementTree.Element]) -> None:
     for kind in _KEPT:
-        names = [e.get("name") for e in robot.findall(kind)]
+        names = [e.get("name") for e in parts if e.tag == kind]
         if not all(names):
             raise BadRobot(f"the URDF has a {kind} without a name")
         twice = [name for name, count in Counter(names).items() if count > 1]
@@ -98,36 +131,71 @@ def _check_names(robot: ElementTree.Element) -> None:
             raise BadRobot(f"the URDF has more than one {kind} named {twice[0]!r}")
 
 
-def _check_numbers(element: ElementTree.Element) -> None:
-    what = f"{element.tag} {element.get('name')!r}"
-    for inertial in element.findall("inertial"):
-        missing = [part for part in ("mass", "inertia") if inertial.find(part) is None]
-        if missing:
-            raise BadRobot(f"{what}: its <inertial> has no <{missing[0]}>")
-    if element.get("type") in ("revolute", "prismatic"):
-        limit = element.find("limit")
-        missing = ["limit"] if limit is None else [a for a in ("effort", "velocity") if limit.get(a) is None]
-        if missing:
-            raise BadRobot(f"{what}: a {element.get('type')} joint needs a <limit> with effort and velocity; {missing[0]} is missing")
-    for part in element.iter():
-        for attribute, count in _NUMBERS.get(part.tag, {}).items():
-            text = part.get(attribute)
-            if text is None:
-                if part.tag in ("mass", "inertia"):
-                    raise BadRobot(f"{what}: <{part.tag}> has no {attribute}")
-                continue
-            try:
-                values = [float(word) for word in text.split()]
-            except ValueError:
-                values = []
-            if len(values) != count or not all(map(math.isfinite, values)):
-                raise BadRobot(f"{what}: {part.tag} {attribute}={text!r} is not {'a finite number' if count == 1 else f'{count} finite numbers'}")
-            if part.tag == "mass" and values[0] < 0:
-                raise BadRobot(f"{what}: its mass {text} kg is negative")
-            if part.tag == "dynamics" and values[0] < 0:
-                raise BadRobot(f"{what}: its {attribute} {text} is negative")
-            if part.tag == "axis" and not any(values):
-                raise BadRobot(f"{what}: its axis is zero")
+def _copied(element: ElementTree.Element, what: str) -> ElementTree.Element:
+    """The element with what is read of it alone, and its numbers written anew: urdfdom takes no blank at their ends."""
+    tag = element.tag
+    out = ElementTree.Element(tag, {name: element.attrib[name] for name in _NAMES.get(tag, ()) if name in element.attrib})
+    for attribute, count in _NUMBERS.get(tag, {}).items():
+        given = element.get(attribute)
+        if given is not None:
+            out.set(attribute, _numbers(given, count, what, tag, attribute))
+        elif tag in _REQUIRED:
+            raise BadRobot(f"{what}: <{tag}> has no {attribute}")
+    unread = sorted(set(element.attrib) - set(out.attrib)) if tag == "origin" else []
+    if unread:
+        raise BadRobot(f"{what}: its <origin> has {unread[0]}, which is not read; it takes xyz and rpy")
+    for part in _PARTS.get("fixed" if element.get("type") == "fixed" else tag, ()):
+        found = element.findall(part)
+        if len(found) > 1:
+            raise BadRobot(f"{what} has more than one <{part}>")
+        if not found and tag == "inertial" and part != "origin":
+            raise BadRobot(f"{what}: its <inertial> has no <{part}>")
+        copies = [_copied(one, what) for one in found]
+        out.extend([one for one in copies if one.attrib or part != "dynamics"])  # urdfdom takes no empty <dynamics/>
+    return out
+
+
+def _numbers(text: str, count: int, what: str, tag: str, attribute: str) -> str:
+    """The numbers as urdfdom reads them, and those of an axis scaled exactly to between 1 and 2. Raises ``BadRobot``."""
+    words = re.split(f"[{_BLANKS}]+", text.strip(_BLANKS))
+    values = [value for value in map(checks.decimal, words) if value is not None]
+    if len(values) != len(words) or len(values) != count:
+        takes = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise BadRobot(f"{what}: {tag} {attribute}={text!r} is not {takes} (digits 0 to 9, a point, an exponent)")
+    if values[0] < 0 and attribute in _NOT_NEGATIVE.get(tag, ()):
+        raise BadRobot(f"{what}: its {f'mass {values[0]:g} kg' if tag == 'mass' else f'{attribute} {values[0]:g}'} is negative")
+    if tag == "axis":
+        largest = max(map(abs, values))
+        if largest == 0:
+            raise BadRobot(f"{what}: its axis is zero")
+        values = [math.ldexp(value, 1 - math.frexp(largest)[1]) for value in values]  # Pinocchio squares them
+    return " ".join(map(repr, values))
+
+
+def _check_limit(joint: ElementTree.Element) -> None:
+    """Raises ``BadRobot`` where a limit is missing or its range is reversed; a continuous joint gets the limits that it lacks, infinite."""
+    what, kind, limit = f"joint {joint.get('name')!r}", joint.get("type"), joint.find("limit")
+    missing = ["limit"] if limit is None else [a for a in ("effort", "velocity") if limit.get(a) is None]
+    if missing and kind in ("revolute", "prismatic"):
+        raise BadRobot(f"{what}: a {kind} joint needs a <limit> with effort and velocity; {missing[0]} is missing")
+    if limit is None:
+        return
+    for attribute in missing:
+        limit.set(attribute, repr(sys.float_info.max))
+    lower, upper = (float(limit.get(a, 0.0)) for a in ("lower", "upper"))
+    if lower > upper and kind != "continuous":
+        default = "" if limit.get("lower") and limit.get("upper") else " (0 where it is missing)"
+        raise BadRobot(f"{what}: its limit lower={lower:g} is above upper={upper:g}{default}")
+
+
+def _inertias(robot: ElementTree.Element) -> dict[str, Array]:
+    out = {}
+    for link in robot.findall("link"):
+        inertia = link.find("inertial/inertia")
+        if inertia is not None:
+            xx, xy, xz, yy, yz, zz = (float(inertia.attrib[a]) for a in _NUMBERS["inertia"])
+            out[str(link.get("name"))] = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return out
 
 
 def _check_tree(robot: ElementTree.Element) -> None:
@@ -168,7 +236,3 @@ def _reached(root: str, parent: dict[str, str]) -> set[str]:
         seen.add(link)
         stack.extend(children.get(link, ()))
     return seen
-
-
-def _local(tag: str) -> str:
-    return tag.rsplit("}", 1)[-1]

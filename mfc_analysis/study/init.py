@@ -187,17 +187,17 @@ def unmoving(urdf: str | os.PathLike[str], tool: str | None) -> tuple[str, ...]:
     """The joints of a URDF that do not move the tool, such as fingers; without a tool, those that mimic another."""
     from mfc_analysis.robots.urdf import checked_urdf, read_urdf
 
-    text, mimic = checked_urdf(read_urdf(Path(urdf)))
-    joints = {str(j.get("name")): j for j in ElementTree.fromstring(text).findall("joint")}
+    read = checked_urdf(read_urdf(Path(urdf)))
+    joints = {str(j.get("name")): j for j in ElementTree.fromstring(read.text).findall("joint")}
     if tool is None:
-        return mimic
+        return read.mimic
     above = {_link(j, "child"): name for name, j in joints.items()}
     link = _link(joints[tool], "child") if tool in joints and tool not in above else tool
     chain = set()
     while link in above:
         chain.add(above[link])
         link = _link(joints[above[link]], "parent")
-    return tuple(name for name, j in joints.items() if j.get("type") != "fixed" and name not in chain) if chain else mimic
+    return tuple(name for name, j in joints.items() if j.get("type") != "fixed" and name not in chain) if chain else read.mimic
 
 
 def _arm(urdf: str, tool: str | None, locked: Sequence[str]) -> Robot:

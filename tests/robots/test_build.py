@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -97,12 +99,60 @@ def test_two_joints_that_share_all_their_mass_are_singular():
 
 
 def test_an_inertia_that_is_negative_is_refused():
+    negative = robot(link("a"), joint("j1", "base", "a")).replace('izz="0.02"', 'izz="-1"')
     with pytest.raises(errors.BadRobot, match=r"effective inertia is -0.96"):
-        Robot.from_urdf(robot(link("a"), joint("j1", "base", "a")).replace('izz="0.02"', 'izz="-1"'))
+        Robot.from_pinocchio(pin.buildModelFromXML(negative))
+    with pytest.raises(errors.BadRobot, match=r"link 'a': its inertia has a negative principal moment, -1 kg m\^2"):
+        Robot.from_urdf(negative)
+    with pytest.raises(errors.BadRobot, match=r"link 'two': .* negative principal moment, -0.0352 kg m\^2"):  # 0.015 - sqrt(0.005^2 + 0.05^2)
+        Robot.from_urdf(robot(link("one"), joint("j1", "base", "one"), link("two").replace('ixy="0"', 'ixy="0.05"'), joint("j2", "one", "two")))
     model = pin.buildModelFromXML(TWO)
     model.inertias[1] = pin.Inertia(np.nan, np.zeros(3), np.eye(3))
     with pytest.raises(errors.BadRobot, match="not finite"):
         Robot.from_pinocchio(model)
+
+
+def test_numbers_whose_mass_matrix_overflows_are_refused():
+    for text in (TWO.replace('value="1.0"', 'value="1e308"'), TWO.replace('xyz="0.2 0 0"', 'xyz="1e200 0 0"')):
+        with pytest.raises(errors.BadRobot, match="not finite"):
+            Robot.from_urdf(text)
+
+
+def test_an_inertia_above_the_triangle_inequality_warns_of_its_link():
+    def arm(izz):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            found = Robot.from_urdf(
+                robot(link("one"), joint("j1", "base", "one"), link("two").replace('izz="0.02"', f'izz="{izz}"'), joint("j2", "one", "two"))
+            )
+        return found, [str(one.message) for one in said]
+
+    for plate in (0.03, 0.03002):  # ixx + iyy = 0.03; the second is above by less than what three digits tell
+        assert arm(plate)[1] == []
+    assert "link 'two': its principal moments of inertia 0.01, 0.02, 0.0301 kg m^2 are those of no body" in arm(0.03006)[1][0]
+    found, said = arm(0.5)
+    assert len(said) == 1 and found.mass([0.0, 0.0])[1, 1] == pytest.approx(0.5 + 0.2**2)
+
+
+def test_an_inertia_without_effect_is_not_judged_and_a_point_mass_is_a_body():
+    bad = link("hand").replace('izz="0.02"', 'izz="-1"')
+    text = robot(link("one"), joint("j1", "base", "one"), bad, joint("j2", "base", "hand"))
+    assert Robot.from_urdf(text, tool="one", locked=["j2"]).mass([0.0])[0, 0] == pytest.approx(0.02 + 0.2**2)
+    with pytest.raises(errors.BadRobot, match="link 'hand'"):
+        Robot.from_urdf(text, tool="one")
+    with pytest.raises(errors.BadRobot, match="link 'hand'"):  # fixed to a link that moves
+        Robot.from_urdf(text.replace('<joint name="j2" type="revolute"><parent link="base"/>', '<joint name="j2" type="fixed"><parent link="one"/>'))
+    point = TWO.replace('ixx="0.01"', 'ixx="0"').replace('"0.02"', '"0"')
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert Robot.from_urdf(point).mass([0.0, 0.0])[1, 1] == pytest.approx(0.2**2)
+
+
+def test_a_model_with_two_joints_of_one_name_is_refused():
+    model = pin.buildModelFromXML(TWO)
+    model.names[2] = "j1"
+    with pytest.raises(errors.BadRobot, match="more than one joint named 'j1'"):
+        Robot.from_pinocchio(model, tool="two")
 
 
 def test_the_default_tool_is_the_last_link_and_else_the_choices_are_listed():

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import warnings
 
 import numpy as np
 import pytest
@@ -104,7 +105,9 @@ def test_the_embedded_ur5_equals_the_one_of_example_robot_data():
 
 @pytest.mark.parametrize("name", robots.names())
 def test_every_named_robot_is_a_serial_arm_with_a_tool_that_all_joints_move(name):
-    robot = robots.load(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot = robots.load(name)
     q = np.random.default_rng(0).uniform(-1, 1, robot.n)
     assert robot.name == name
     assert np.linalg.eigvalsh(robot.mass(q))[0] > 0

@@ -323,15 +323,6 @@ def test_gravity_is_an_argument_in_base_axes():
             Robot.from_urdf(TWO, gravity=bad)
 
 
-def test_limits_are_the_urdfs_and_infinite_where_it_has_none():
-    limits = Robot.from_urdf(CONTINUOUS).limits
-    assert_array_equal(limits.position, [[-np.inf, np.inf], [-2, 1.5]])
-    assert_array_equal(limits.velocity, [3, 3])
-    assert_array_equal(limits.torque, [10, 10])
-    assert_array_equal(Robot.from_urdf(CONTINUOUS.replace('effort="10"', 'effort="0"')).limits.torque, [np.inf, np.inf])
-    assert_array_equal(Robot.from_urdf(TWO.replace('lower="-2" upper="1.5"', "")).limits.lower, [-np.inf, -np.inf])
-
-
 def test_a_robot_survives_pickling_and_another_thread(robot):
     q, *_ = point(robot)
     again = pickle.loads(pickle.dumps(robot))

@@ -10,7 +10,7 @@ import pytest
 import mfc_analysis as mfc
 from mfc_analysis.errors import MfcWarning, NearSingular
 from mfc_analysis.maths.roots import root_between
-from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION, nearest_singular
+from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION, check_regular, nearest_singular
 from tests.conftest import arm, regular_pose
 
 
@@ -39,6 +39,22 @@ def test_a_robot_tells_the_condition_number_that_numpy_has_of_its_jacobian() -> 
     robot, q = arm("ur5"), regular_pose("ur5")
     J = robot.jacobian(q)
     assert nearest_singular(robot.tool, np.linalg.svd(J, compute_uv=False)).condition == pytest.approx(np.linalg.cond(J), rel=1e-9)
+
+
+def test_a_jacobian_warns_above_one_condition_number_and_is_refused_above_another() -> None:
+    def of(condition: float) -> np.ndarray:
+        return np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 1.0 / condition])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_regular("tool", of(0.99 * WARN_CONDITION))
+        check_regular("tool", np.zeros((0, 6, 6)))
+    with pytest.warns(MfcWarning, match="frame 'tool' is close to singular"):
+        check_regular("tool", of(1.01 * WARN_CONDITION))
+    with pytest.raises(NearSingular), warnings.catch_warnings(action="ignore"):
+        check_regular("tool", np.stack([np.eye(6), of(1.01 * REFUSE_CONDITION)]))
+    with pytest.raises(NearSingular):
+        check_regular("tool", np.eye(6)[:, :5])
 
 
 def wrist_at(condition: float) -> np.ndarray:

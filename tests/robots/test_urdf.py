@@ -4,11 +4,11 @@ import pytest
 
 from mfc_analysis import errors
 from mfc_analysis.robots.robot import Robot
-from mfc_analysis.robots.urdf import checked_urdf, moving_joints, read_urdf
+from mfc_analysis.robots.urdf import checked_urdf, read_urdf
 from tests.robots.arms import FORK, TWO, joint, link, robot
 
 
-@pytest.mark.parametrize("source", ["no_such_file.urdf", "", "a\0b", 3, None, b"<robot/>", ["arm.urdf"]])
+@pytest.mark.parametrize("source", ["no_such_file.urdf", "", "a\0b", "\ud800.urdf", 3, None, b"<robot/>", ["arm.urdf"]])
 def test_what_is_neither_a_file_nor_xml_is_refused(source):
     with pytest.raises(errors.BadArgument, match="source"):
         read_urdf(source)
@@ -28,7 +28,7 @@ def test_a_path_and_its_text_give_the_same_robot(tmp_path):
 
 def test_a_binary_file_is_not_a_urdf(tmp_path):
     path = tmp_path / "arm.urdf"
-    path.write_bytes(b"\xff\xfe\x00\x01")
+    path.write_bytes(b"\x7fELF\xff\xfe\x00\x01")
     with pytest.raises(errors.BadRobot, match="not text"):
         Robot.from_urdf(path)
 
@@ -73,13 +73,13 @@ def test_meshes_materials_and_simulator_tags_are_left_out():
     extra = TWO.replace("</robot>", "<gazebo reference='one'><oops/></gazebo><transmission name='t'/></robot>").replace(
         '<link name="one">', '<link name="one"><visual><geometry><mesh filename="package://nowhere/x.dae"/></geometry></visual>'
     )
-    text, mimic = checked_urdf(extra)
-    assert "mesh" not in text and "gazebo" not in text and mimic == ()
+    read = checked_urdf(extra)
+    assert "mesh" not in read.text and "gazebo" not in read.text and read.mimic == ()
 
 
 def test_moving_joints_are_those_that_are_not_fixed():
-    assert moving_joints(FORK) == ("j1", "jl", "jr")
-    assert moving_joints(FORK.replace('name="jr" type="revolute"', 'name="jr" type="fixed"')) == ("j1", "jl")
+    assert checked_urdf(FORK).moving == ("j1", "jl", "jr")
+    assert checked_urdf(FORK.replace('name="jr" type="revolute"', 'name="jr" type="fixed"')).moving == ("j1", "jl")
 
 
 def test_a_mimic_joint_is_refused_until_it_is_locked():
