@@ -267,7 +267,7 @@ def from_csv(path: str | os.PathLike[str]) -> Waypoints:
     if len(rows) < 2:
         raise BadArgument("path", str(path), f"a table of at least two times; the file has {len(rows)}")
     table = np.array(rows)
-    _check_start(str(path), table[:, 0])
+    _check_start(f"{path}, column 1", table[:, 0])
     return Waypoints(table[:, 0], table[:, 1:])
 
 

@@ -214,7 +214,7 @@ def test_a_bad_table_names_its_line(tmp_path, text, says):
 def test_readings_of_a_clock_are_refused_and_say_what_to_subtract(tmp_path, start):
     path = tmp_path / "log.csv"
     path.write_text("".join(f"{start + t!r},{t * t!r}\n" for t in range(11)))
-    with pytest.raises(errors.BadArgument, match=f"log.csv: got '10 s of motion.*subtract the first, {start!r}"):
+    with pytest.raises(errors.BadArgument, match=f"log.csv, column 1: got '10 s of motion.*subtract the first, {start!r}"):
         from_csv(path)
     with pytest.raises(errors.BadArgument, match=r"times: got .*readings of a clock"):
         Waypoints(start + np.arange(11.0), np.zeros(11))
