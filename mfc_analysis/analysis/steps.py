@@ -83,8 +83,7 @@ def step(system: OpenSystem, index: int, input: str | int, output: str | int, du
         duration = number("duration", duration, low=0.0, strict=True)
     one = system.at(np.array([index % len(system.A)]))
     known, run_for = spectrum(one), _runner(one, into, out)
-    verdict = stability(one)
-    outcome, steady = _end(one, into, out, bool(verdict.nonzero_stable[0]), known)
+    outcome, steady = _end(one, into, out, known)
     first = None
     if one.delayed:
         first = first_duration(one, into, out)
@@ -111,9 +110,9 @@ def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
     return known.index(name)
 
 
-def _end(system: OpenSystem, into: int, out: int, others_decay: bool, known: Spectrum) -> tuple[Outcome, float]:
+def _end(system: OpenSystem, into: int, out: int, known: Spectrum) -> tuple[Outcome, float]:
     """Behaviour of the response within the horizon and its final value, on which dead time has no effect."""
-    if not others_decay:
+    if not _others_decay(system):
         return Outcome.GROWS, np.nan
     A, B, C, D = (x[0] for x in close_wires(system))
     step, split = system.dt or 1.0, known.parts[0]
@@ -129,6 +128,12 @@ def _end(system: OpenSystem, into: int, out: int, others_decay: bool, known: Spe
     terms = c * np.linalg.solve(a, b) if len(a) else np.zeros(1)
     steady = float(D[out, into] - terms.sum()) + moved
     return Outcome.SETTLES, 0.0 if abs(steady) < 1e-13 * np.abs(terms).sum() else steady
+
+
+def _others_decay(system: OpenSystem) -> bool:
+    """Whether no root grows that is not slow: also where every root is slow."""
+    verdict = stability(system)
+    return bool(verdict.nonzero_stable[0] or not verdict.held[0])
 
 
 def _runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], Run]:
@@ -195,14 +200,14 @@ def first_duration(system: OpenSystem, into: int, out: int) -> float:
     """First duration [s]: that of the loop without dead time, at least a few dead times, and long enough to show growth."""
     free = delay_free_duration(replace(system, wire_delay=np.zeros_like(system.wire_delay)), into, out)
     enough = max(free, 10 * float(system.wire_delay.max()))
-    growth = float(delay_roots(system, 1)[0, 0].real) if not stability(system).nonzero_stable[0] else 0.0
+    growth = float(delay_roots(system, 1)[0, 0].real) if not _others_decay(system) else 0.0
     return max(enough, min(3 / growth, 20 * enough)) if growth > 0 else enough
 
 
 def delay_free_duration(system: OpenSystem, into: int, out: int) -> float:
     """[s] about twice the settling time of a system with one point, without dead time; eight slowest time constants if it does not settle."""
     known = spectrum(system)
-    outcome, steady = _end(system, into, out, bool(stability(system).nonzero_stable[0]), known)
+    outcome, steady = _end(system, into, out, known)
     run = _settled_run(_runner(system, into, out), known, steady if outcome is Outcome.SETTLES else None, system.dt)
     return float(run.t[-1])
 

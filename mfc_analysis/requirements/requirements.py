@@ -182,7 +182,8 @@ class Requirements:
         lines += _residual(evidence, self.tracking_error)
         lines.sort(key=lambda line: line.severity, reverse=True)
         assert evidence.at is not None
-        return Verdict(tuple(lines), str(loop), evidence.at, evidence.times, _notes(evidence), bool(evidence.stability.drifts.any()), evidence)
+        notes = _notes(evidence, worst([line.status for line in lines]))
+        return Verdict(tuple(lines), str(loop), evidence.at, evidence.times, notes, bool(evidence.stability.drifts.any()), evidence)
 
     def __str__(self) -> str:
         parts = [
@@ -238,7 +239,7 @@ def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
     return [Line("residual", limit, found.value, "rad or m", distance, Status.WATCH, found.where, found.when, "≤", label="error at rest", note=note)]
 
 
-def _notes(evidence: Evidence) -> tuple[str, ...]:
+def _notes(evidence: Evidence, status: Status) -> tuple[str, ...]:
     """Remarks on the metrics: frozen time, neutral roots, dead time and idle integrals."""
     out, verdict, lin = [], evidence.stability, evidence.linearization
     if not evidence.equations.reference_source.is_hold:
@@ -250,5 +251,6 @@ def _notes(evidence: Evidence) -> tuple[str, ...]:
     if verdict.idle.any():
         out.append(f"integrals that act on nothing, left out: {int(verdict.idle.max())}")
     if verdict.drifts.any():
-        out.append(f"{slow_words(evidence).means}; margins are those of the roots that are not slow, and the verdict is WATCH at best")
+        watch = "" if status is Status.FAIL else ", and the verdict is WATCH at best"
+        out.append(slow_words(evidence).means + (f"; margins are those of the roots that are not slow{watch}" if evidence.judged.all() else ""))
     return tuple(out)

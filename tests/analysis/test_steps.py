@@ -97,6 +97,19 @@ def test_an_integrator_behind_the_loop_ramps():
     assert found.steady_state == np.inf and found.settling == np.inf and np.isnan(found.rise)
 
 
+@pytest.mark.parametrize(("delay", "dt"), [(0.0, 0.0), (0.02, 0.0), (0.0, 0.01)])
+@pytest.mark.parametrize(("order", "y"), [(1, 8.0), (2, 32.0)])
+def test_a_bare_integrator_ramps_and_does_not_grow(order, y, delay, dt):
+    """Every root is slow: y = t^order / order! of a unit step, no root grows."""
+    one = control.ss(1 / s**order)
+    plain = open_system(control.c2d(one, dt) if dt else one, delay)
+    loose = replace(plain, C=plain.C * [[[1.0], [0.0]]], D=plain.D * [[[1.0], [0.0]]])  # the wire reads nothing
+    found = step(loose, 0, "d", "y", duration=8.0)
+    assert found.outcome is Outcome.RAMPS and found.steady_state == np.inf and found.settling == np.inf
+    assert_allclose(found.y[-1], y, rtol=1e-9)
+    assert "grows" not in str(found)
+
+
 def driven_integrator():
     """x' = -3 x + d, y = its integral: a neutral root that the input drives."""
     plain = open_system(1 / (s + 1))

@@ -46,3 +46,15 @@ def test_a_joint_that_ramps_is_named_and_a_loop_without_slow_roots_says_so() -> 
     assert arm.joint_names[1] in words.means and arm.joint_names[0] not in words.means
     held = mfc.ClosedLoop(arm, mfc.laws.ComputedTorque(kp=100.0, kd=20.0), mfc.trajectories.Hold([0.2, 0.4]))
     assert slow_words(Evidence(held.equations, np.zeros(1))) == ("no slow root", "", "")
+
+
+@pytest.mark.parametrize(
+    ("kp", "asked", "best", "margins"), [([100.0, 0.0], {}, True, True), ([100.0, 0.0], {"phase_deg": 179.0}, False, True), (0.0, {}, False, False)]
+)
+def test_a_note_promises_no_watch_to_a_loop_that_fails(kp: object, asked: dict[str, float], best: bool, margins: bool) -> None:
+    kd = [20.0, 0.0] if kp else 0.0
+    loop = mfc.ClosedLoop(mfc.robots.planar_2r(), mfc.laws.ComputedTorque(kp=kp, kd=kd), mfc.trajectories.Hold([0.2, 0.4]))
+    verdict = mfc.Requirements(**asked).check(loop, [0.0])
+    (note,) = (note for note in verdict.notes if "nothing holds" in note)
+    assert ("WATCH at best" in note, "margins" in note) == (best, margins)
+    assert (verdict.status == "FAIL") is not best

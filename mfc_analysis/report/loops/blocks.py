@@ -67,16 +67,15 @@ def three_numbers(view: View) -> KeyFacts:
     """The three key metrics of a loop: rightmost pole that is not slow, phase margin and delay margin."""
     w, m = view.margins.worst(), len(view.times)
     root = view.evidence.slowest_root()
-    value = Number(root.value, "1/s", infinite="every root is slow", undefined="none")
-    if np.isneginf(root.value):
-        value = Number(0.0, "1/s")
+    loose = view.evidence.nothing_else
+    value = Number(np.nan if loose else root.value, "1/s", undefined="every root is slow")
     known = 1.0 if view.stable else np.nan  # margins are not defined if the loop is unstable at any time
     without = "no feedback" if not view.fed_back.any() else "unstable"
     delay = Number(known * w.delay[0] * 1e3, "ms", infinite="unlimited", undefined=without)
     phase = Number(known * w.phase_deg[0], "°", infinite="no crossover", undefined=without)
     return KeyFacts(
         (
-            Fact("Rightmost pole", value, "every root is slow" if np.isneginf(root.value) else place_words(root.where, root.when or 0.0, m)),
+            Fact("Rightmost pole", value, "nothing holds the loop" if loose else place_words(root.where, root.when or 0.0, m)),
             Fact("Phase margin", phase, place_words(w.phase_deg[2], w.phase_deg[1], m) if np.isfinite(phase.value) else ""),
             Fact("Delay margin", delay, place_words(w.delay[2], w.delay[1], m) if np.isfinite(delay.value) else ""),
         )

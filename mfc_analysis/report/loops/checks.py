@@ -30,10 +30,12 @@ def _shown(line: Line) -> Line:
         unit=unit,
         distance=line.distance * scale,
         infinite=_INFINITE.get(line.name, "unlimited"),
-        undefined="neutral" if _neutral(line) else "unstable" if line.status is Status.FAIL else "not defined",
+        undefined=_undefined(line),
     )
 
 
-def _neutral(line: Line) -> bool:
-    """Whether the value is not defined because every root is slow."""
-    return "every root is slow" in line.note
+def _undefined(line: Line) -> str:
+    """The word for a value that is not defined."""
+    if "every root is slow" in line.note:
+        return "every root is slow" if line.name == "stable" else "nothing holds it"
+    return "unstable" if line.status is Status.FAIL else "not defined"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, nan
 
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from mfc_analysis.report.document.document import found_of, limit_of
 from mfc_analysis.report.loops.checks import checks
 from mfc_analysis.requirements.line import Line, Status
+from mfc_analysis.requirements.requirements import Requirements
+from tests.report.loops.views import open_loop
 
 
 @pytest.mark.parametrize(
@@ -25,3 +28,8 @@ def test_a_line_is_shown_in_a_readers_units(line: Line, found: str, limit: str) 
     (shown,) = checks([line])
     assert (str(found_of(shown)), str(limit_of(shown))) == (found, limit)
     assert (shown.status, shown.place, shown.label) == (line.status, line.place, line.label)
+
+
+def test_without_a_fast_root_a_line_says_that_nothing_holds_the_loop() -> None:
+    found = replace(open_loop(), requirements=Requirements(phase_deg=45.0)).checks
+    assert {line.name: str(found_of(line)) for line in found} == {"stable": "every root is slow", "phase_deg": "nothing holds it"}
