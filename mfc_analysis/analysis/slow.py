@@ -21,6 +21,7 @@ from scipy.linalg import expm, matrix_balance, schur, solve_sylvester
 from mfc_analysis.maths.arrays import Array, Complex
 
 MOVES = 1e-3  #: [SI] an entry of the slow transition matrix below this is no motion
+ALONG = 1e-6  #: of the largest change from the same start below which a state does not move along
 KEEPS_MOVING = 1.5  #: times its value at half the horizon: a ramp doubles, a free position stays, a growth of 1/horizon is 1.6
 NUDGES = (1.0, 1.01, 0.99, 1.05, 0.95)  #: factors of the radius, tried in turn where a root lies so near it that it cannot be sorted
 
@@ -72,9 +73,13 @@ class Parts:
 
 
 def moving(whole: Array, half: Array) -> Array:
-    """The change from ``half`` to ``whole``, transition matrices over half the horizon and over all of it, of the entries that keep moving."""
-    size = np.abs(whole)
-    return np.asarray(np.where((size > MOVES) & (size > KEEPS_MOVING * np.abs(half)), whole - half, 0.0))
+    """The change from ``half`` to ``whole``, transition matrices over half the horizon and over all of it, of the states that keep moving.
+
+    From a start (a column) from which a state keeps moving, all states that it moves are kept: a tool's motion is that of its joints together.
+    """
+    size, change = np.abs(whole), whole - half
+    keeps = (size > MOVES) & (size > KEEPS_MOVING * np.abs(half))
+    return np.asarray(np.where(keeps.any(axis=0) & (np.abs(change) > ALONG * np.abs(change).max(axis=0, initial=0.0)), change, 0.0))
 
 
 def parts(A: Array, radius: float, dt: float = 0.0) -> Parts:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mfc_analysis.laws.law import TWIST
-from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.arrays import Array, Complex
 
 if TYPE_CHECKING:
     from mfc_analysis.requirements.evidence import Evidence
@@ -19,11 +19,12 @@ AXES = dict(zip(TWIST, ("along x", "along y", "along z", "about x", "about y", "
 
 
 class SlowWords(NamedTuple):
-    """Three texts without a full stop."""
+    """Texts without a full stop."""
 
     roots: str  #: how many slow roots there are, and the time constant of the fastest
     moves: str  #: what keeps moving within the horizon; "" where nothing does
     means: str  #: what that means and what would stop it; "" where nothing moves
+    fastest: str = ""  #: the time constant of the fastest slow root; "" where there is none
 
 
 def slow_words(evidence: Evidence) -> SlowWords:
@@ -33,21 +34,23 @@ def slow_words(evidence: Evidence) -> SlowWords:
     if not some.any():
         return SlowWords("no slow root", "", "")
     i = int(np.argmax(some))
-    return SlowWords(_roots(evidence, i), *_motion(evidence, i)) if verdict.drifts.any() else SlowWords(_roots(evidence, i), "", "")
-
-
-def _roots(evidence: Evidence, i: int) -> str:
-    verdict = evidence.stability
     count, rate = int(verdict.slow[i]), 1 / verdict.horizon
-    roots = verdict.slow_roots[i]
-    sizes = np.abs(roots)
+    size = _fastest(verdict.slow_roots[i], rate)
     head = f"{count} slow root{'s' if count > 1 else ''} (|s| < {rate:.3g} 1/s), left out of the metrics: "
+    roots = head + (f"the fastest {size}" if size else "zero to rounding, free positions and ramps")
+    fastest = f"the fastest slow root is one {size}" if size else "its speed stays: the slow roots are zero to rounding"
+    return SlowWords(roots, *(_motion(evidence, i) if verdict.drifts.any() else ("", "")), fastest)
+
+
+def _fastest(roots: Complex, rate: float) -> str:
+    """The fastest slow root, in words; "" where all are zero to rounding."""
+    sizes = np.abs(roots)
     if not sizes.size or sizes.max() < ZERO * rate:
-        return head + "zero to rounding, free positions and ramps"
+        return ""
     fastest = complex(roots[np.argmax(sizes)])
     if abs(fastest.real) < ZERO * rate:
-        return head + f"the fastest at {abs(fastest):.2g} rad/s, undamped"
-    return head + f"the fastest with a time constant of {1 / abs(fastest.real):.3g} s, {'growing' if fastest.real > 0 else 'decaying'}"
+        return f"at {abs(fastest):.2g} rad/s, undamped"
+    return f"with a time constant of {1 / abs(fastest.real):.3g} s, {'growing' if fastest.real > 0 else 'decaying'}"
 
 
 def _motion(evidence: Evidence, i: int) -> tuple[str, str]:

@@ -25,6 +25,24 @@ def test_a_tool_on_a_smooth_wall_slides_and_the_cure_is_named(hardware: dict[str
     assert "along z" not in words.means  # the wall holds it there
 
 
+@pytest.mark.parametrize(
+    "q", [[0.68, -0.81, -2.3, -2.46, 1.57, 2.28, 0.53], [1.15, -1.14, 1.82, -1.18, -1.0, 1.05, -2.36]], ids=["first", "second"]
+)
+@pytest.mark.parametrize("hardware", [{}, {"torque_lag": 2e-3}], ids=["ideal", "lag"])
+def test_a_redundant_arm_never_slides_into_the_wall(q: list[float], hardware: dict[str, float]) -> None:
+    """The wall gives way by F/k only: joints that move together leave its normal alone, whichever of them moves the most."""
+    damping = np.array([200.0, 200.0, 200.0, 4.0, 4.0, 4.0])
+    law = mfc.laws.DampedForcePI(20 * Z, Z, 5 * Z, kdamp=damping)
+    wall = mfc.Environment(1e4, axes="z", preload=20.0)
+    loop = mfc.ClosedLoop(mfc.robots.load("panda"), law, mfc.trajectories.Hold(q), environment=wall, hardware=mfc.Hardware(**hardware))
+    found = Evidence(loop.equations, np.zeros(1))
+    moved = found.stability.motion[0][loop.equations.parts["q"].where]
+    tool = np.abs(loop.robot.jacobian(np.array(q)) @ moved).max(axis=1)
+    assert tool[2] < 1e-4 * tool[:2].max()
+    words = slow_words(found)
+    assert "slides along" in words.moves and "along z" not in words.moves
+
+
 def test_a_verdict_on_a_smooth_wall_says_what_slides() -> None:
     verdict = mfc.Requirements().check(on_a_wall(), [0.0])
     assert verdict.status == "WATCH" and "slides" in verdict.line("stable").note
@@ -45,7 +63,7 @@ def test_a_joint_that_ramps_is_named_and_a_loop_without_slow_roots_says_so() -> 
     words = slow_words(Evidence(free.equations, np.zeros(1)))
     assert arm.joint_names[1] in words.means and arm.joint_names[0] not in words.means
     held = mfc.ClosedLoop(arm, mfc.laws.ComputedTorque(kp=100.0, kd=20.0), mfc.trajectories.Hold([0.2, 0.4]))
-    assert slow_words(Evidence(held.equations, np.zeros(1))) == ("no slow root", "", "")
+    assert slow_words(Evidence(held.equations, np.zeros(1))) == ("no slow root", "", "", "")
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from mfc_analysis.report.document.document import Number, found_of, limit_of, wr
 from mfc_analysis.report.loops.checks import checks
 from mfc_analysis.requirements.line import Line
 from mfc_analysis.requirements.requirements import Requirements, Verdict
+from mfc_analysis.requirements.slow import slow_words
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
@@ -157,7 +158,17 @@ class View:
             span = min(2 * span, duration)
 
     def summary(self) -> str:
-        """The finding as a sentence, made from the verdict."""
+        """The finding, made from the verdict; where the loop drifts also what moves, how slowly, and what would stop it."""
+        return f"{self._found()} {self.drift()}".rstrip()
+
+    def drift(self) -> str:
+        """A sentence on what keeps moving within the horizon; "" where nothing does."""
+        if not self.evidence.stability.drifts.any():
+            return ""
+        words = slow_words(self.evidence)
+        return " ".join(f"{text[:1].upper()}{text[1:]}." for text in (words.means, words.fastest))
+
+    def _found(self) -> str:
         line, checks = self.verdict.worst, self.checks
         if self.verdict.status == "PASS":
             asked = len(checks)
@@ -171,7 +182,7 @@ class View:
             return f"{name}: {found_of(said)}{place}{note}."
         if line.name == "stable":
             word = "Not stable" if line.status == "FAIL" else "Stable, with a warning"
-            return f"{word}: the rightmost pole is at {found_of(said)}{place}{note}."
+            return f"{word}: the rightmost pole is at {found_of(said)}{place}{note if word == 'Not stable' else ''}."
         return f"{name} is {found_of(said)}, required: {limit_of(said)}{place}{note}."
 
     def tightest(self) -> str:

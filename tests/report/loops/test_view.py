@@ -59,3 +59,14 @@ def test_a_run_is_followed_to_its_end_only_where_the_loop_stays_near() -> None:
 
 def test_a_place_has_its_time_only_on_a_path() -> None:
     assert [place_words("elbow", 0.25, count) for count in (1, 2)] == ["elbow", "elbow, t = 0.25 s"]
+
+
+def test_a_loop_that_slides_says_in_its_finding_what_slides_how_slowly_and_what_would_hold_it() -> None:
+    law = L.DampedForcePI(np.eye(6)[2] * 10, np.eye(6)[2], 2 * np.eye(6)[2], kdamp=40.0)
+    q = np.array([0.3, -1.2, 1.5, -1.0, -1.4, 0.2])
+    wall = mfc.Environment(1e4, axes="z", preload=10.0)
+    for asked in ({}, {"phase_deg": 179.0}):  # also where another requirement comes first
+        said = view(mfc.ClosedLoop(mfc.robots.load("ur10"), law, T.Hold(q), environment=wall, hardware=H(torque_lag=2e-3)), **asked).summary()
+        assert "Nothing holds the tool along x" in said and "along z" not in said and "add a foot" in said
+        assert "time constant of" in said or "zero to rounding" in said
+    assert "othing holds" not in mass().summary()
