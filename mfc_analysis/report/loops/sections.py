@@ -1,9 +1,8 @@
-"""The sections of a loop's report, from a ``View``: requirements, the loop and its parameters, margins, poles, step, validity, pose."""
+"""The sections of a loop's report, from a ``View``: margins, poles, path, step, validity, pose, after the loop as it was given."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +10,9 @@ import numpy as np
 
 from mfc_analysis import plots
 from mfc_analysis.errors import MfcError
-from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.document.document import (
     Block,
     Bullets,
-    Callout,
-    Column,
-    Equation,
     Fact,
     Figure,
     KeyFacts,
@@ -25,34 +20,20 @@ from mfc_analysis.report.document.document import (
     Paragraph,
     Row,
     Section,
-    Table,
     written,
 )
 from mfc_analysis.report.loops import blocks
+from mfc_analysis.report.loops.parameters import the_loop
 from mfc_analysis.report.loops.step_runs import GROWTH, step_run
 from mfc_analysis.report.loops.view import View
 from mfc_analysis.requirements.line import Status
 
 if TYPE_CHECKING:
-    from mfc_analysis.laws.gain import Gain
     from mfc_analysis.simulation.validation import Validation
 
 
 VALIDATED, SHORTEST = 1.0, 0.1  #: [s] longest comparison with the nonlinear loop, and the shortest one if a mode is lightly damped
 SEGMENTS, PERIODS, RINGS = 60, 5.0, 0.2  #: samples or dead times; periods of the fastest mode whose damping ratio is below ...
-_HARDWARE = {
-    "torque_lag": ("torque lag", "s"),
-    "velocity_lag": ("velocity lag", "s"),
-    "delay": ("dead time of the command", "s"),
-    "force_delay": ("dead time of the force sensor", "s"),
-    "sample_time": ("sample time", "s"),
-    "force_filter": ("force filter", "s"),
-    "velocity_filter": ("velocity filter", "s"),
-    "joint_stiffness": ("joint stiffness", "Nm/rad"),
-    "joint_damping": ("joint damping", "Nm s/rad"),
-    "motor_inertia": ("motor inertia", "kg m²"),
-    "torque_limit": ("torque limit", "Nm"),
-}
 
 
 def loop_section(view: View) -> Section:
@@ -143,152 +124,6 @@ def _notes(view: View) -> list[Block]:
     if not view.requirements.asked():
         out.append(Paragraph("Only stability is required of this loop. Further requirements (margins, damping, settling, ...) would be listed here."))
     return out
-
-
-# --- the loop and its parameters ------------------------------------------------------------------------------------------
-
-
-def the_loop(view: View) -> Section:
-    """Block diagram, equation and parameters."""
-    law = view.loop.law
-    body: list[Block] = [diagram(view)]
-    source = law.typst
-    if source:
-        body.append(Equation(source, f"control law, equation {law.equation}", law.equation))
-    if law.chosen_form != "standard":
-        body.append(Callout(Status.WATCH, f"form = {law.chosen_form!r}", "The equation above is the standard form. This loop uses another form."))
-    if view.loop.equations.actuator == "torque":
-        contact = ' + J_b^top F_"tip"' if view.loop.equations.surfaces else ""
-        body.append(Equation(f"M(q) dot.double(q) + h(q, dot(q)){contact} = tau", "equation of motion", "9.19" if contact else "9.7"))
-    else:
-        body.append(Equation("dot(q) = u", "the joints follow the commanded velocity"))
-    body += parameters(view)
-    return Section("The loop and its parameters", body=tuple(body))
-
-
-def diagram(view: View) -> Figure:
-    """Block diagram of the loop with its analysis points."""
-    law, hardware = view.loop.law, view.loop.equations.hardware
-    points = view.lin.opened.points
-    name = type(law).__name__
-    chain: list[tuple[str, str]] = []
-    if "command" in points:
-        chain += [("error\nfeedback", "command"), ("inverse\ndynamics" if law.plant == "torque" else "inverse\nJacobian", law.plant)]
-    else:
-        chain.append((f"{name}\n(eq. {law.equation})", law.plant if law.plant in points else ""))
-    between = [
-        word for word, there in (("lag", "lag" in view.loop.equations.parts), ("dead time", hardware.delay), ("hold", hardware.sample_time)) if there
-    ]
-    if between:
-        chain.append(("\n".join(between[:2]), ""))
-    chain.append(("arm" if law.plant == "torque" else "joints\nq′ = u", ""))
-    if view.loop.equations.surfaces:
-        chain.append(("surface", ""))
-    back = next((p for p in ("force", "position") if p in points), "")
-    wanted = (["X_d"] if law.space == "tool" else []) + (["F_d"] if hasattr(law, "F_d") else [])
-    reference = ", ".join(wanted) or "q_d"
-    output = "q, v" if law.plant == "torque" else "q"
-    others = ", ".join(points)
-    return Figure(
-        partial(plots.block, tuple(chain), reference=reference, output=output, back=back, at=view.point),
-        f"The loop of eq. {law.equation}. Filled: the analysis point used here (“{view.point}”). Available analysis points: {others}.",
-        f"Block diagram of {view.name}: {' to '.join(text.replace(chr(10), ' ') for text, _ in chain)}, opened at {view.point}; available: {others}.",
-    )
-
-
-def parameters(view: View) -> tuple[Block, ...]:
-    """Tables of the gains and of robot, model, path, hardware and surfaces."""
-    out: list[Block] = []
-    law, n = view.loop.law, view.loop.robot.n
-    rows = []
-    for name, gain in law.gains().items():
-        rows.append((name, law.units.get(name, "").replace("^2", "²").replace("^3", "³"), gain_words(gain)))
-    if rows:
-        heads = (
-            Column("Gain", numeric=False),
-            Column("Unit", numeric=False),
-            Column(f"Value ({'per joint' if law.space == 'joint' and n > 1 else 'scalar, diagonal or matrix'})", numeric=False),
-        )
-        out.append(Table("Controller gains.", heads, tuple(rows)))
-    facts = [("robot", robot_words(view)), ("controller's model", model_words(view)), ("reference", reference_words(view))]
-    hardware = view.loop.equations.hardware
-    for field in fields(hardware):
-        given = getattr(hardware, field.name)
-        if given is not None and field.name in _HARDWARE:
-            word, unit = _HARDWARE[field.name]
-            facts.append((word, f"{array_words(np.asarray(given, float))} {unit}"))
-    if hardware.elastic:
-        facts.append(("encoder of the elastic joints", hardware.feedback))
-    if hardware.ideal:
-        facts.append(("hardware", "ideal: no lag, dead time, sampling, filter, flexibility or limit"))
-    for k, surface in enumerate(view.loop.equations.surfaces):
-        facts.append((f"surface {k + 1}", surface_words(surface)))
-    columns = (Column("Item", numeric=False), Column("Value", numeric=False))
-    out.append(Table("Robot, model, path and hardware.", columns, tuple(facts)))
-    return tuple(out)
-
-
-def gain_words(gain: Gain) -> str:
-    """A gain as text."""
-    return "none" if gain.array is None else array_words(np.asarray(gain.array))
-
-
-def array_words(a: Array) -> str:
-    """A scalar, vector or matrix as text."""
-    if a.ndim == 0:
-        return written(float(a), exact=True)
-    if a.ndim == 1:
-        return "(" + ", ".join(written(float(x), exact=True) for x in a) + ")"
-    return "; ".join(array_words(row) for row in a)
-
-
-def robot_words(view: View) -> str:
-    """The plant as text."""
-    robot = view.loop.robot
-    payload = "".join(f", payload {written(float(p.mass), exact=True)} kg at {robot.tool}" for p in robot.payloads)
-    return f"{robot.name}, {robot.n} {'joint' if robot.n == 1 else 'joints'} ({', '.join(robot.joint_names)}), tool {robot.tool}{payload}"
-
-
-def model_words(view: View) -> str:
-    """The controller's model as text: whether it equals the plant, and if not, how they differ."""
-    loop = view.loop
-    model = loop.equations.model
-    if model is loop.robot:
-        return "exact (equal to the plant)"
-    q = loop.nominal(view.times[:1]).q[0]
-    gap = float(np.abs(model.mass(q) - loop.robot.mass(q)).max() / np.abs(loop.robot.mass(q)).max())
-    payload = sum(float(p.mass) for p in loop.robot.payloads) - sum(float(p.mass) for p in model.payloads)
-    said = f"{model.name}, without {written(payload, exact=True)} kg of the plant's payload; " if abs(payload) > 1e-12 else f"{model.name}; "
-    return (
-        said + f"its inertia differs from the plant's by up to {written(100 * gap)} % of the largest entry (t ="
-        f" {written(float(view.times[0]), exact=True)} s)"
-    )
-
-
-def reference_words(view: View) -> str:
-    """The reference as text."""
-    ref = view.loop.ref
-    kind = type(ref).__name__
-    span = (
-        f", {written(float(ref.duration), exact=True)} s"
-        if ref.duration
-        else f", period {written(float(ref.period), exact=True)} s"
-        if ref.period
-        else ""
-    )
-    if ref.is_hold:
-        return f"{kind} (at rest)"
-    speed = float(np.abs(view.loop.nominal(view.times).v).max())
-    units = sorted(set(view.loop.robot.joint_units))
-    return f"{kind}{span}; fastest joint {written(speed)} {' or '.join(u + '/s' for u in units)}"
-
-
-def surface_words(surface: Any) -> str:
-    """A surface as text."""
-    k, d = (array_words(np.asarray(x, float)) if np.ndim(x) < 2 else "a 6 × 6 matrix" for x in (surface.stiffness, surface.damping))
-    preload = np.asarray(surface.preload, float)
-    pressed = f", preload {array_words(preload)} N" if preload.any() else ""
-    return f"stiffness {k} N/m, damping {d} N s/m, axes {surface.axes}{pressed}, {'one-sided in simulation' if surface.one_sided else 'two-sided'}"
 
 
 # --- margins, poles, path -------------------------------------------------------------------------------------------------

@@ -1,0 +1,40 @@
+"""A loop in words: its hardware, model and surfaces with their numbers."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+
+import mfc_analysis as mfc
+from mfc_analysis.report.document.document import Table
+from mfc_analysis.report.loops import parameters
+from mfc_analysis.report.loops.view import View
+from tests.report.loops.views import PUSH, H, L, T, joint, links, planar, pushing, view
+
+
+def cells(found: View) -> str:
+    """All text of the tables of the section about the loop and its parameters."""
+    return " ".join(str(cell) for block in parameters.parameters(found) if isinstance(block, Table) for row in block.rows for cell in row)
+
+
+def test_every_piece_of_hardware_is_told_with_its_number() -> None:
+    given = {
+        "torque_lag": 0.0011, "delay": 0.0013, "sample_time": 0.0026, "velocity_filter": 0.0017, "joint_stiffness": 1900.0, "joint_damping": 2.3,
+        "motor_inertia": 0.29, "torque_limit": 31.0,
+    }  # fmt: skip
+    assert set(given) < {field.name for field in fields(H)}
+    said = cells(view(mfc.ClosedLoop(joint(), L.JointPID(50.0, kd=10.0), T.Hold([0.3]), hardware=H(**given))))
+    ideal = cells(view(mfc.ClosedLoop(joint(), L.JointPID(50.0, kd=10.0), T.Hold([0.3]))))
+    for value in given.values():
+        assert f"{value:g}" in said and f"{value:g}" not in ideal
+    assert all(f"{value:g} N" in cells(pushing()) for value in (1000.0, PUSH[2]))
+
+
+def test_the_model_is_told_by_the_payload_and_inertia_that_it_lacks() -> None:
+    loop = mfc.ClosedLoop(planar().with_payload(3.0), L.ComputedTorque(64.0, kd=16.0), T.Hold([0.3, 0.2]), controller_model=planar())
+    said = parameters.model_words(view(loop))
+    M, lighter = loop.robot.mass(np.array([0.3, 0.2])), planar().mass(np.array([0.3, 0.2]))
+    assert "3 kg" in said and f"{100 * np.abs(M - lighter).max() / np.abs(M).max():.2f} %" in said
+    assert not any(x.isdigit() for x in parameters.model_words(links()))
+    assert parameters.array_words(np.array([[1.0, 0.25], [0.0, 2.0]])) == "(1, 0.25); (0, 2)"
