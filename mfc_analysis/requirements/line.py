@@ -44,6 +44,7 @@ class Line:
     undefined: str = "unstable"  #: the word for a NaN
     label: str = ""  #: the name in words; omitted: the name itself
     note: str = ""
+    elsewhere: str = ""  #: a smaller margin at another analysis point, in words
 
     def __post_init__(self) -> None:
         if not self.label:

@@ -14,7 +14,7 @@ from mfc_analysis.laws.force import ForceLaw
 from mfc_analysis.linearization.linearization import Linearization
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.report.chapter.pieces import agreement, at_least, at_most, in_words, pole_map, poles_table, response, slowest, validated
+from mfc_analysis.report.chapter.pieces import agreement, at_least, at_most, in_words, least, pole_map, poles_table, response, slowest, validated
 from mfc_analysis.report.document.document import (
     Callout,
     Cell,
@@ -279,11 +279,7 @@ def slider_section() -> Section:
     wanted = np.array([MASS * lag, MASS, KDAMP + k * lag, k * (1 + KFP), k * KFI]) / (MASS * lag)
     found = np.poly(p[np.abs(p) > 0]).real
     away = float(np.abs(found / wanted - 1).max())
-    m = lin.margins("force")
-    finding = (
-        f"On a spring of {written(k, exact=True)} N/m with a torque lag of 2 ms the phase margin at the force sensor is "
-        f"{written(float(m.phase_deg[0, 2]))}° and the gain margin is a factor of {written(float(m.gain_increase[0, 2]))}."
-    )
+    finding = f"On a spring of {written(k, exact=True)} N/m with a torque lag of 2 ms {tightest(lin)}."
     body = (
         Equation(
             'm T s^4 + m s^3 + (k_"damp" + k_e T) s^2 + k_e (1 + k_"fp") s + k_e k_"fi" = 0',
@@ -310,41 +306,35 @@ def arm_section() -> Section:
     lins = {name: arm_loop(1e4, law, hardware=Hardware(torque_lag=lag)).linearize() for name, law in by_name.items()}
     rows = []
     for name, lin in lins.items():
-        at_torque = lin.margins("torque")
-        at_force = lin.margins("force") if name != "9.21" else None
+        phase, delay = (least(lin)[metric] for metric in ("phase_deg", "delay"))
         rows.append(
             (
                 name,
                 in_words(bool(lin.stable[0]), bool(lin.drifts[0])),
-                Number(
-                    float(at_force.phase_deg[0, 2]) if at_force else np.nan,
-                    undefined="no force loop" if at_force is None else "unstable",
-                    infinite="no crossover",
-                ),
-                Number(float(at_torque.phase_deg[0].min()), undefined="unstable", infinite="no crossover"),
-                Number(float(at_torque.delay[0].min()) * 1e3, undefined="unstable", infinite="unlimited"),
+                Number(phase.value, undefined="unstable", infinite="no crossover"),
+                phase.where if np.isfinite(phase.value) else "",
+                Number(delay.value * 1e3, undefined="unstable", infinite="unlimited"),
+                delay.where if np.isfinite(delay.value) else "",
             )
         )
     lin = lins["9.23"]
-    t, f = lin.margins("torque"), lin.margins("force")
-    j = int(np.argmin(t.phase_deg[0]))
+    t, j = lin.margins("torque"), int(np.argmin(lin.margins("torque").phase_deg[0]))
     finding = (
-        f"The UR5 under 9.23 on 10 kN/m with a torque lag of 2 ms has a phase margin of {written(float(f.phase_deg[0, 2]))}° at the force "
-        "sensor and at least "
-        f"{written(float(t.phase_deg[0, j]))}° at each torque (smallest at {t.channels[j]}); without damping (9.22) the same loop is "
+        f"For the UR5 under 9.23 on 10 kN/m with a torque lag of 2 ms {tightest(lin)}; without damping (9.22) the same loop is "
         f"{in_words(bool(lins['9.22'].stable[0]), bool(lins['9.22'].drifts[0]))}."
     )
     columns = (
         Column("Law", numeric=False),
         Column("verdict", numeric=False),
-        Column("phase, force", "°"),
-        Column("smallest phase, torque", "°"),
-        Column("smallest delay, torque", "ms"),
+        Column("phase margin", "°"),
+        Column("where", numeric=False),
+        Column("delay margin", "ms"),
+        Column("where", numeric=False),
     )
     body = (
         Equation(laws.DampedForcePI.typst, "damped PI force control", "9.23"),
         force_facts(lin),
-        Table("A UR5 pressing with 20 N on a surface of 10 kN/m, torque lag 2 ms.", columns, tuple(rows)),
+        Table("A UR5 pressing with 20 N on a surface of 10 kN/m, torque lag 2 ms: smallest margins over all analysis points.", columns, tuple(rows)),
         response(lin, "force", 2, "UR5, 9.23, fz", span=(0.1, 3e3)),
         response(lin, "torque", j, f"UR5, 9.23, {t.channels[j]}", span=(0.1, 3e3)),
         poles_table([(name, x.poles()[0]) for name, x in lins.items()], 5, "The slowest closed-loop poles that are not slow roots."),
@@ -368,37 +358,47 @@ def arm_section() -> Section:
     )
 
 
+def tightest(lin: Linearization) -> str:
+    """The smallest phase and delay margin of a loop over all its analysis points, as part of a sentence."""
+    phase, delay = (least(lin)[name] for name in ("phase_deg", "delay"))
+    return (
+        f"the smallest phase margin is {written(phase.value)}° ({phase.where}) and the smallest delay margin {written(1e3 * delay.value)} ms "
+        f"({delay.where})"
+    )
+
+
 def force_facts(lin: Linearization) -> KeyFacts:
-    """Phase, gain and delay margin at the force sensor's z."""
-    m = lin.margins("force")
+    """The smallest phase, gain and delay margin over all analysis points."""
+    m = least(lin)
+    phase, gain, delay = m["phase_deg"], m["gain_increase_db"], m["delay"]
     return KeyFacts(
         (
-            Fact(
-                "Phase margin",
-                Number(float(m.phase_deg[0, 2]), "°", infinite="no crossover", undefined="unstable"),
-                f"at {written(float(m.crossover[0, 2]))} rad/s",
-            ),
-            Fact("Gain margin", Number(float(m.gain_increase_db[0, 2]), "dB", undefined="unstable"), "of the measured force"),
-            Fact("Delay margin", Number(1e3 * float(m.delay[0, 2]), "ms", infinite="no crossover", undefined="unstable"), "of the force sensor"),
+            Fact("Phase margin", Number(phase.value, "°", infinite="no crossover", undefined="unstable"), phase.where),
+            Fact("Gain margin", Number(gain.value, "dB", undefined="unstable"), gain.where),
+            Fact("Delay margin", Number(1e3 * delay.value, "ms", infinite="no crossover", undefined="unstable"), delay.where),
         )
     )
 
 
-def margin_numbers(lin: Linearization) -> dict[str, float]:
-    """The margins at the force sensor's z, by name."""
+def margin_numbers(lin: Linearization) -> dict[str, object]:
+    """The smallest margins over all analysis points with their places, and those at the force sensor's z, by name."""
     m = lin.margins("force")
     names = ("phase_deg", "gain_increase", "gain_reduction", "delay", "sensitivity_peak", "crossover")
-    return {name: float(getattr(m, name)[0, 2]) for name in names}
+    return {
+        "smallest": {name: found._asdict() for name, found in least(lin).items()},
+        "force": {name: float(getattr(m, name)[0, 2]) for name in names},
+    }
 
 
 def force_checks(lin: Linearization, phase: float, gain_db: float, peak: float) -> tuple[Line, ...]:
-    """Checks of the force loop along z, under the names that all loops share."""
-    m, slow = lin.margins("force"), slowest(lin.poles()[0]).real
+    """Checks of a force loop's smallest margins over all analysis points, under the names that all loops share."""
+    m, slow = least(lin), slowest(lin.poles()[0]).real
+    up, down, late = m["gain_increase_db"], m["gain_reduction_db"], m["delay"]
     return (
         Line("stable", 0.0, slow, "1/s", -slow, Status.PASS if bool(lin.stable[0]) else Status.FAIL, "", None, "<"),
-        at_least("phase margin", phase, float(m.phase_deg[0, 2]), "°", "fz"),
-        at_least("gain margin, up", gain_db, float(m.gain_increase_db[0, 2]), "dB", "fz"),
-        at_least("gain margin, down", gain_db, float(m.gain_reduction_db[0, 2]), "dB", "fz"),
-        at_least("delay margin", 2.0, 1e3 * float(m.delay[0, 2]), "ms", "fz"),
-        at_most("sensitivity peak", peak, float(m.sensitivity_peak[0, 2]), "", "fz"),
+        at_least("phase margin", phase, m["phase_deg"].value, "°", m["phase_deg"].where),
+        at_least("gain margin, up", gain_db, up.value, "dB", up.where),
+        at_least("gain margin, down", gain_db, down.value, "dB", down.where),
+        at_least("delay margin", 2.0, 1e3 * late.value, "ms", late.where),
+        at_most("sensitivity peak", peak, m["sensitivity_peak"].value, "", m["sensitivity_peak"].where),
     )

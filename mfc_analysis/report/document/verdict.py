@@ -125,7 +125,7 @@ def requirements(section: Section) -> Table:
     return Table(
         "Checks of this section, the worst first.",
         columns,
-        tuple((c.label, found_of(c), limit_of(c), c.status, distance_of(c), c.place) for c in rows),
+        tuple((c.label, found_of(c), limit_of(c), c.status, distance_of(c), _place(c)) for c in rows),
     )
 
 
@@ -134,7 +134,12 @@ def _cell(pair: tuple[Section, Line] | None, keys: dict[int, str], what: str = "
         return None
     section, check = pair
     value = str(replace(found_of(check), unit="")) if unit is not None else str(found_of(check))
+    value += f"; {check.elsewhere}" if check.elsewhere else ""
     return MatrixCell(check.status, f"{what}: {value}" if what else value, keys[id(section)])
+
+
+def _place(check: Line) -> str:
+    return check.place + (f"; smaller: {check.elsewhere}" if check.elsewhere else "")
 
 
 def _count(some: int, of: int) -> str:

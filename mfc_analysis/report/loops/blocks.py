@@ -24,6 +24,7 @@ from mfc_analysis.report.document.document import (
     Trace,
     written,
 )
+from mfc_analysis.report.loops.points import smallest
 from mfc_analysis.report.loops.view import View, place_words
 from mfc_analysis.robots.skeleton import skeleton
 
@@ -41,43 +42,42 @@ _LIMITS = ("phase_deg", "gain_increase_db", "gain_reduction_db", "delay", "sensi
 
 
 def sensitivity(view: View) -> KeyFacts:
-    """Gain, phase and delay margins and the sensitivity peak, each with the channel and the time of its worst value."""
-    w = view.margins.worst()
-    m = len(view.times)
+    """The smallest gain, phase and delay margins and the sensitivity peak over all analysis points, each with point, channel and time."""
 
-    def fact(name: str, found: tuple[float, float, str], unit: str, scale: float = 1.0, infinite: str = "unlimited") -> Fact:
-        value = Number(found[0] * scale, unit, infinite=infinite, undefined="unstable")
-        return Fact(name, value, "" if not np.isfinite(found[0]) else place_words(found[2], found[1], m))
+    def fact(name: str, metric: str, unit: str, scale: float = 1.0, infinite: str = "unlimited") -> Fact:
+        found = view.smallest[metric]
+        value = Number(found.value * scale, unit, infinite=infinite, undefined="unstable")
+        return Fact(name, value, view.place(found) if np.isfinite(found.value) else "")
 
-    with np.errstate(divide="ignore"):
-        down = (float(-20 * np.log10(w.gain_reduction[0])), *w.gain_reduction[1:])
-        up = (float(20 * np.log10(w.gain_increase[0])), *w.gain_increase[1:])
     return KeyFacts(
         (
-            fact("Gain margin, down", down, "dB"),
-            fact("Gain margin, up", up, "dB"),
-            fact("Phase margin", w.phase_deg, "°", infinite="no crossover"),
-            fact("Delay margin", w.delay, "ms", 1e3),
-            fact("Sensitivity peak", w.sensitivity_peak, ""),
+            fact("Gain margin, down", "gain_reduction_db", "dB"),
+            fact("Gain margin, up", "gain_increase_db", "dB"),
+            fact("Phase margin", "phase_deg", "°", infinite="no crossover"),
+            fact("Delay margin", "delay", "ms", 1e3),
+            fact("Sensitivity peak", "sensitivity_peak", ""),
         )
     )
 
 
 def three_numbers(view: View) -> KeyFacts:
-    """The three key metrics of a loop: rightmost pole that is not slow, phase margin and delay margin."""
-    w, m = view.margins.worst(), len(view.times)
-    root = view.evidence.slowest_root()
-    loose = view.evidence.nothing_else
+    """The three key metrics of a loop: rightmost pole that is not slow, and the smallest phase and delay margin over all analysis points."""
+    root, loose = view.evidence.slowest_root(), view.evidence.nothing_else
     value = Number(np.nan if loose else root.value, "1/s", undefined="every root is slow")
-    known = 1.0 if view.stable else np.nan  # margins are not defined if the loop is unstable at any time
+    place = "nothing holds the loop" if loose else place_words(root.where, root.when or 0.0, len(view.times))
     without = "no feedback" if not view.fed_back.any() else "unstable"
-    delay = Number(known * w.delay[0] * 1e3, "ms", infinite="unlimited", undefined=without)
-    phase = Number(known * w.phase_deg[0], "°", infinite="no crossover", undefined=without)
+
+    def fact(name: str, metric: str, unit: str, scale: float, infinite: str) -> Fact:
+        found = view.smallest[metric]
+        known = scale if view.stable else np.nan  # margins are not defined if the loop is unstable at any time
+        size = Number(known * found.value, unit, infinite=infinite, undefined=without)
+        return Fact(name, size, view.place(found) if np.isfinite(size.value) else "")
+
     return KeyFacts(
         (
-            Fact("Rightmost pole", value, "nothing holds the loop" if loose else place_words(root.where, root.when or 0.0, m)),
-            Fact("Phase margin", phase, place_words(w.phase_deg[2], w.phase_deg[1], m) if np.isfinite(phase.value) else ""),
-            Fact("Delay margin", delay, place_words(w.delay[2], w.delay[1], m) if np.isfinite(delay.value) else ""),
+            Fact("Rightmost pole", value, place),
+            fact("Phase margin", "phase_deg", "°", 1.0, "no crossover"),
+            fact("Delay margin", "delay", "ms", 1e3, "unlimited"),
         )
     )
 
@@ -101,24 +101,20 @@ def pole_rows(view: View, most: int = 24) -> Table:
 
 def points_table(view: View) -> Table | None:
     """The smallest margins at each analysis point of the law; None if there is only one."""
-    points = view.lin.opened.points
-    if len(points) < 2:
+    if len(view.every_margin) < 2:
         return None
-    rows = []
-    for point in points:
-        w = (view.margins if point == view.point else view.lin.margins(point)).worst()
-        with np.errstate(divide="ignore"):
-            low, high = -20 * np.log10(w.gain_reduction[0]), 20 * np.log10(w.gain_increase[0])
-        rows.append(
-            (
-                point,
-                Number(float(low), infinite="unlimited"),
-                Number(float(high), infinite="unlimited"),
-                Number(w.phase_deg[0], infinite="no crossover"),
-                Number(w.delay[0] * 1e3, infinite="unlimited"),
-                Number(w.sensitivity_peak[0]),
-            )
+    by_point = {m.at: smallest([m]) for m in view.every_margin}
+    rows = tuple(
+        (
+            point,
+            Number(by_point[point]["gain_reduction_db"].value, infinite="unlimited"),
+            Number(by_point[point]["gain_increase_db"].value, infinite="unlimited"),
+            Number(by_point[point]["phase_deg"].value, infinite="no crossover"),
+            Number(by_point[point]["delay"].value * 1e3, infinite="unlimited"),
+            Number(by_point[point]["sensitivity_peak"].value),
         )
+        for point in view.lin.opened.points
+    )
     columns = (
         Column("Analysis point", numeric=False),
         Column("Gain down", "dB"),
@@ -127,7 +123,7 @@ def points_table(view: View) -> Table | None:
         Column("Delay", "ms"),
         Column(Math("M_s")),
     )
-    return Table("Smallest margins at each analysis point, one loop at a time.", columns, tuple(rows))
+    return Table("Smallest margins at each analysis point, one loop at a time.", columns, rows)
 
 
 # --- figures ---------------------------------------------------------------------------------------------------------
@@ -139,7 +135,7 @@ def frequency_figures(view: View, at: str | None = None, label: str = "") -> tup
     if not view.fed_back.any():
         return (Paragraph(f"There is no feedback at “{point}”: L = 0, so the loop has no frequency response and no margins."),)
     w = view.worst
-    m = view.margins if point == view.point else view.lin.margins(point)
+    m = next(found for found in view.every_margin if found.at == point)
     k = w.channel if point == view.point or m.channels == view.margins.channels else 0
     grid = view.frequencies()
     L = view.response(grid, point, k)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from math import isfinite
 
+from mfc_analysis.report.document.document import found_of
+from mfc_analysis.report.loops.points import METRICS, PEAK, Smallest
 from mfc_analysis.requirements.line import Line, Status
 
 _SHOWN = {
@@ -16,9 +19,26 @@ _SHOWN = {
 _INFINITE = {"gain_increase_db": "no limit", "gain_reduction_db": "no limit", "phase_deg": "no crossover", "delay": "no crossover"}
 
 
-def checks(lines: Iterable[Line]) -> tuple[Line, ...]:
-    """The lines of a verdict in their order (failures first), in the units shown to the reader."""
-    return tuple(_shown(line) for line in lines)
+def checks(lines: Iterable[Line], point: str = "", least: Mapping[str, Smallest] | None = None) -> tuple[Line, ...]:
+    """The lines of a verdict in their order (failures first), in the units shown to the reader.
+
+    ``point``: the analysis point of its margins, named in the lines. ``least``: the smallest margins of the loop; a smaller one at another
+    point is named too.
+    """
+    return tuple(_shown(_placed(line, point, least or {})) for line in lines)
+
+
+def _placed(line: Line, point: str, least: Mapping[str, Smallest]) -> Line:
+    """The line with its analysis point, and with a smaller margin at another one."""
+    if line.name not in METRICS or not line.where or not point:
+        return line
+    line = replace(line, where=f"{line.where} at “{point}”")
+    other = least.get(line.name)
+    if other is None or other.point == point or not isfinite(other.value):
+        return line
+    value = found_of(_shown(replace(line, found=other.value)))
+    missed = other.value > line.asked if line.name == PEAK else other.value < line.asked
+    return replace(line, elsewhere=f"{value} at “{other.point}” ({other.channel}){', beyond the limit' if missed else ''}")
 
 
 def _shown(line: Line) -> Line:

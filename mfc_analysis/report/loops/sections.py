@@ -73,6 +73,7 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
         "neutral": view.lin.neutral,
         "drifts": view.lin.drifts,
         "worst": {"time": w.time, "channel": w.name},
+        "smallest": {name: found._asdict() for name, found in view.smallest.items()},
         "poles": view.poles[i],
         "channels": m.channels,
         "phase_deg": m.phase_deg[i],
@@ -130,7 +131,7 @@ def _notes(view: View) -> list[Block]:
 
 
 def frequency_section(view: View) -> Section:
-    """Bode and Nyquist plots of the worst case, the key margins, and the margins at every analysis point."""
+    """Bode and Nyquist plots of the worst case, the smallest margins, and those at every analysis point."""
     body: list[Block] = []
     if view.stable and view.fed_back.any():
         body.append(blocks.sensitivity(view))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,6 +12,7 @@ import numpy as np
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 from mfc_analysis.report.document.document import Number, found_of, limit_of, written
 from mfc_analysis.report.loops.checks import checks
+from mfc_analysis.report.loops.points import Smallest, smallest
 from mfc_analysis.requirements.line import Line
 from mfc_analysis.requirements.requirements import Requirements, Verdict
 from mfc_analysis.requirements.slow import slow_words
@@ -75,10 +77,25 @@ class View:
         """One-loop margins at the analysis point."""
         return self.evidence.margins
 
+    @cached_property
+    def every_margin(self) -> tuple[Margins, ...]:
+        """The margins at each analysis point of the loop, those at ``point`` first."""
+        return (self.margins, *(self.lin.margins(point) for point in self.lin.opened.points if point != self.point))
+
+    @cached_property
+    def smallest(self) -> Mapping[str, Smallest]:
+        """The smallest margins over all analysis points."""
+        return smallest(self.every_margin)
+
+    def place(self, found: Smallest) -> str:
+        """Channel, analysis point if the loop has several, and time on a path, as text."""
+        return place_words(found.where if len(self.every_margin) > 1 else found.channel, found.when, len(self.times))
+
     @property
     def checks(self) -> tuple[Line, ...]:
-        """The lines of the verdict, in the units shown to the reader."""
-        return checks(self.verdict.lines)
+        """The lines of the verdict, in the units shown to the reader, with their analysis point if the loop has several."""
+        many = len(self.every_margin) > 1
+        return checks(self.verdict.lines, self.point if many else "", self.smallest)
 
     @cached_property
     def stable(self) -> bool:
@@ -186,17 +203,15 @@ class View:
         return f"{name} is {found_of(said)}, required: {limit_of(said)}{place}{note}."
 
     def tightest(self) -> str:
-        """The margins in the worst case as text."""
+        """The smallest phase margin over all analysis points as text."""
         if not self.stable:
             return "the loop is unstable, so its margins are not defined"
-        w, m = self.worst, self.margins
-        phase, crossover = float(m.phase_deg[w.row, w.channel]), float(m.crossover[w.row, w.channel])
         if not self.fed_back.any():
             return "there is no feedback, so there are no margins"
-        where = place_words(w.name, w.time, len(self.times))
-        if not np.isfinite(phase):
-            return f"the loop has no crossover ({where})"
-        return f"the smallest phase margin is {Number(phase, '°')} at {Number(crossover, 'rad/s')} ({where})"
+        found = self.smallest["phase_deg"]
+        if not np.isfinite(found.value):
+            return f"the loop has no crossover ({place_words(self.worst.name, self.worst.time, len(self.times))})"
+        return f"the smallest phase margin is {Number(found.value, '°')} at {Number(found.crossover, 'rad/s')} ({self.place(found)})"
 
 
 def place_words(name: str, time: float, count: int) -> str:

@@ -54,7 +54,7 @@ def test_findings_quote_the_numbers_that_the_json_has() -> None:
     rest = np.array(n["hybrid-leak"]["at_rest"])
     couplings = [max(n["hybrid-coupling"][name]["motion_to_force"]) for name in ("2 kg unknown", "wall turned 5°", "selection")]
     quoted = {
-        "hybrid": [*n["hybrid"]["force_phase_deg"].values(), min(x for x in n["hybrid"]["motion_phase_deg"] if x != "infinite")],
+        "hybrid": [n["hybrid"][key]["phase_deg"]["value"] for key in ("smallest", "smallest_selection")],
         "hybrid-damping": [f(n["hybrid-damping"]["growth_without"]) for f in (min, max)] + [max(n["hybrid-damping"]["growth_with"])],
         "hybrid-coupling": couplings,
         "hybrid-leak": [1e3 * abs(rest[2]), 1e3 * float(np.linalg.norm(rest[:2])), 1e3 * float(np.linalg.norm(rest[3:]))],
