@@ -35,3 +35,9 @@ def test_a_table_escapes_every_text():
     html = table("<a>", ("<b>",), [("<c>", "<d>")], ["<e>"])
     assert not any(f"<{tag}>" in html for tag in "abcde")
     assert all(f"&lt;{tag}&gt;" in html for tag in "abcde")
+
+
+@pytest.mark.parametrize("delay", [None, 0.01])
+def test_poles_without_dead_time_are_called_so(delay):
+    lin = mfc.ClosedLoop(LOOP.robot, LOOP.law, LOOP.ref, hardware=mfc.Hardware(delay=delay)).linearize()
+    assert ("poles without dead time" in lin._repr_html_()) is (delay is not None)

@@ -188,8 +188,10 @@ class Law(ABC):
 
     def __str__(self) -> str:
         gains = ", ".join(f"{k} = {g!r}" for k, g in self.gains().items() if g)
-        shown = "" if self.chosen_form == "standard" else f", form={self.chosen_form!r}"
-        return f"{type(self).__name__}({gains}{shown}) [eq. {self.equation}]"
+        choices = {f.name: getattr(self, f.name) for f in fields(self) if isinstance(f.default, str)}  # type: ignore[arg-type]  # as above
+        usual = {f.name: f.default for f in fields(self)}  # type: ignore[arg-type]
+        shown = ", ".join([gains] * bool(gains) + [f"{name}={chosen!r}" for name, chosen in choices.items() if chosen != usual[name]])
+        return f"{type(self).__name__}({shown}) [eq. {self.equation}]"
 
 
 class JointLaw(Law):

@@ -320,7 +320,10 @@ class Linearization:
         title, *notes = str(self).splitlines()
         worst = int(np.argmin(self.stable))
         rows = [(f"{p.value:.5g}", f"{p.frequency:.4g}", f"{p.damping:.3g}", f"{p.time_constant:.4g}") for p in self.pole_table(worst)]
-        return table(f"{title}; poles at t = {self.times[worst]:g} s", ("pole [1/s]", "wn [rad/s]", "damping", "time constant [s]"), rows, notes)
+        dead = " without dead time" if self.delay or self.force_delay else ""
+        return table(
+            f"{title}; poles{dead} at t = {self.times[worst]:g} s", ("pole [1/s]", "wn [rad/s]", "damping", "time constant [s]"), rows, notes
+        )
 
 
 def linearize(

@@ -143,7 +143,7 @@ class Evidence:
 
     def slowest_root(self) -> Found:
         """Rightmost real part [1/s] of the roots that are not slow, dead time included; -inf where there is none."""
-        roots, slow = self._roots
+        roots, slow = self.roots
         real = np.where(slow, -np.inf, roots.real)
         i, k = np.unravel_index(int(np.argmax(real)), real.shape)
         root = complex(roots[i, k])
@@ -151,8 +151,8 @@ class Evidence:
         return Found(float(real[i, k]), self._joint_of(int(i), root), float(self.times[i]), note)
 
     @cached_property
-    def _roots(self) -> tuple[Complex, Bools]:
-        """Roots in the s plane and which of them are slow (m, k): the poles, or with dead time the rightmost exact ones."""
+    def roots(self) -> tuple[Complex, Bools]:
+        """Roots [1/s] and which of them are slow, (m, k) each: the poles (a sampled loop: ln(z)/dt), or with dead time the rightmost exact ones."""
         lin, known = self.linearization, self.spectrum
         if not (lin.delay or lin.force_delay):
             return known.rates, known.slow
@@ -229,7 +229,7 @@ def _disk(e: Evidence) -> Found:
 
 
 def _damping(e: Evidence) -> Found:
-    roots, slow = e._roots
+    roots, slow = e.roots
     size = np.abs(roots)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where(np.isneginf(roots.real), 1.0, -roots.real / size)

@@ -119,3 +119,12 @@ def test_errors_cross_processes_with_their_data() -> None:
         again = pickle.loads(pickle.dumps(error))
         assert type(again) is type(error) and str(again) == str(error) and vars(again) == vars(error)
         assert isinstance(again, MfcError)
+
+
+def test_a_law_shows_every_choice_that_is_not_the_default() -> None:
+    L = mfc.laws
+    euclidean, printed = L.TaskComputedTorque(100.0, kd=20.0, inverse="euclidean"), L.TorqueFeedforward(form="printed")
+    assert str(euclidean) == "TaskComputedTorque(kp = 100, kd = 20, inverse='euclidean') [eq. 9.16]"
+    assert str(euclidean.changed(inverse="dynamic")) == "TaskComputedTorque(kp = 100, kd = 20) [eq. 9.16]"
+    assert str(printed) == "TorqueFeedforward(form='printed') [eq. 9.9]"
+    assert "projection='selection'" in str(L.HybridMotionForce(np.zeros(6), 100.0, constraints=np.eye(6)[2:3], projection="selection"))

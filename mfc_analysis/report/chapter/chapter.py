@@ -18,6 +18,8 @@ ROOM = "mfc_analysis.report.chapter"
 PARTS = ("velocity", "joint_torque", "task", "constraints", "force", "hybrid", "stiffness", "hardware", "misprints", "errata")
 TOOL, FORCE = ("task",), ("constraints", "force", "hybrid", "stiffness")
 
+DELAYED = " (rightmost roots, dead time included)"
+
 Part = Callable[[], Iterable[Section]]
 
 
@@ -132,11 +134,13 @@ def all_poles(sections: Iterable[Section]) -> Section | None:
     """Appendix: the poles of every loop in its worst case, slowest first."""
     rows: list[tuple[Any, ...]] = []
     for section in every_section(sections):
-        poles = section.numbers.get("poles")
+        late = section.numbers.get("delay_roots")
+        poles = section.numbers.get("poles") if late is None else late
         if poles is None or not section.loop:
             continue
         place = section.numbers.get("worst", {})
-        rows.append((section.loop, Number(float(place["time"]), exact=True) if "time" in place else "", poles_words(poles)))
+        said = poles_words(poles) + ("" if late is None else DELAYED)
+        rows.append((section.loop, Number(float(place["time"]), exact=True) if "time" in place else "", said))
     if not rows:
         return None
     columns = (Column("Loop", numeric=False), Column("t", "s"), Column("Poles [1/s]", numeric=False))

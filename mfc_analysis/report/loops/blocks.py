@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfc_analysis import plots
+from mfc_analysis.analysis.spectrum import Pole
 from mfc_analysis.plots.frequency import of_channel
 from mfc_analysis.report.document.document import (
     Block,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 
 MOST_TRACES = 121  #: times of the margin histories
+POLES, ROOTS = "Closed-loop poles", "Rightmost characteristic roots, dead time included exactly"  #: heads of captions without and with dead time
 _LIMITS = ("phase_deg", "gain_increase_db", "gain_reduction_db", "delay", "sensitivity_peak")
 
 
@@ -83,20 +85,32 @@ def three_numbers(view: View) -> KeyFacts:
 
 
 def pole_rows(view: View, most: int = 24) -> Table:
-    """Poles in the worst case, slowest first: natural frequency, damping ratio and time constant."""
+    """Poles in the worst case, slowest first, or the rightmost roots with dead time: natural frequency, damping ratio and time constant."""
     i = view.worst.row
     rows = []
-    for p in view.lin.pole_table(i):
+    for p in delayed_rows(view, i) if view.delayed else view.lin.pole_table(i):
         if p.value.imag < 0 and p.kind != "slow":
             continue
         kind = "" if p.kind == "stable" else p.kind
         rows.append((p.value, Number(p.frequency), Number(p.damping, undefined="–"), Number(p.time_constant, infinite="never decays"), kind))
-    cut = f"; the slowest {most} of {len(rows)}" if len(rows) > most else ""
-    dead = "; without dead time" if view.lin.delay or view.lin.force_delay else ""
+    order = "rightmost" if view.delayed else "slowest"
+    cut = f"; the {order} {most} of {len(rows)}" if len(rows) > most and not view.delayed else ""
     where = "" if len(view.times) == 1 else f" at t = {written(round(view.worst.time, 4), exact=True)} s"
     unit = "z" if view.lin.dt else "1/s"
-    columns = (Column("Pole", unit), Column(Math("omega_n"), "rad/s"), Column(Math("zeta")), Column("Time constant", "s"), Column("", numeric=False))
-    return Table(f"Closed-loop poles{where}, slowest first{cut}{dead}.", columns, tuple(rows[:most]))
+    name = "Pole" if not view.delayed else "Root"
+    columns = (Column(name, unit), Column(Math("omega_n"), "rad/s"), Column(Math("zeta")), Column("Time constant", "s"), Column("", numeric=False))
+    return Table(f"{ROOTS if view.delayed else POLES}{where}, {order} first{cut}.", columns, tuple(rows[:most]))
+
+
+def delayed_rows(view: View, i: int) -> tuple[Pole, ...]:
+    """The rightmost roots of a loop with dead time at time number i, as rows of the table of poles."""
+    out = []
+    for s in view.poles[i]:
+        z, size = complex(s), abs(s)
+        slow = size < 1 / view.evidence.horizon
+        kind = "slow" if slow else "stable" if z.real < 0 else "unstable"
+        out.append(Pole(z, float(size), float("nan") if slow else -z.real / size, -1 / z.real if z.real else float("inf"), kind))
+    return tuple(out)
 
 
 def points_table(view: View) -> Table | None:
@@ -180,15 +194,17 @@ def margins_words(m: Margins, i: int, k: int) -> str:
 def pole_map(view: View) -> Figure:
     """Poles in the worst case; those at the other times in grey."""
     w, found = view.worst, view.poles
-    slow = found[w.row][np.argmax(view.evidence.spectrum.rates[w.row].real)] if found.shape[1] else 0
+    rates = found if view.delayed else view.evidence.spectrum.rates
+    slow = found[w.row][np.argmax(rates[w.row].real)] if found.shape[1] else 0
     path = found if len(found) > 1 and np.abs(found - found[:1]).max() > 1e-6 * np.abs(found).max(initial=1e-9) else None
     what = "rightmost" if not view.lin.dt else "outermost"
+    title, alt = ("Roots with dead time", "Map of the roots with dead time") if view.delayed else (POLES, "Pole map")
     asked = view.requirements.damping_ratio
     where = "" if len(view.times) == 1 else f" at t = {written(round(w.time, 4), exact=True)} s"
     return Figure(
-        partial(plots.poles, found[w.row], damping=asked, path=path, discrete=bool(view.lin.dt), index=w.channel),
-        f"Closed-loop poles{where}" + ("; grey: at the other times." if path is not None else "."),
-        f"Pole map of {view.name}{where}: {what} pole {complex_words(complex(slow))};"
+        partial(plots.poles, found[w.row], damping=asked, path=path, discrete=bool(view.lin.dt), index=w.channel, title=title),
+        f"{ROOTS if view.delayed else POLES}{where}" + ("; grey: at the other times." if path is not None else "."),
+        f"{alt} of {view.name}{where}: {what} {'root' if view.delayed else 'pole'} {complex_words(complex(slow))};"
         f" {'stable' if view.verdict.line('stable').status == 'PASS' else 'not stable'}.",
     )
 
@@ -293,8 +309,8 @@ def scrubber(view: View) -> Scrubber | None:
         view.poles,
         tuple(traces[:3]),
         view.worst.row,
-        "Poles (grey: their loci) and the smallest margins at one time along the path.",
-        f"Poles and margins of {view.name} along the path; {said}.",
+        f"{ROOTS if view.delayed else 'Poles'} (grey: their loci) and the smallest margins at “{view.point}” at one time along the path.",
+        f"{'Roots' if view.delayed else 'Poles'} and margins of {view.name} along the path; {said}.",
     )
 
 

@@ -182,8 +182,6 @@ def not_checked(views: Sequence[View]) -> list[str]:
     out = []
     if any(not loop.ref.is_hold for loop in loops):
         out.append("stability during motion: all metrics are frozen in time (floquet() and transient_growth() include the motion)")
-    if any(v.lin.delay or v.lin.force_delay for v in views):
-        out.append("dead time in the poles and pole maps (margins, responses and verdicts include it exactly)")
     missing = [
         word
         for word, there in (

@@ -74,7 +74,8 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
         "drifts": view.lin.drifts,
         "worst": {"time": w.time, "channel": w.name},
         "smallest": {name: found._asdict() for name, found in view.smallest.items()},
-        "poles": view.poles[i],
+        "poles": view.evidence.spectrum.poles[i],
+        **({"delay_roots": view.poles[i]} if view.delayed else {}),
         "channels": m.channels,
         "phase_deg": m.phase_deg[i],
         "crossover": m.crossover[i],
@@ -170,21 +171,18 @@ def disk_block(view: View) -> tuple[tuple[Block, ...], dict[str, Any]]:
 
 
 def pole_section(view: View) -> Section:
-    """Pole map and table, slowest first."""
+    """Pole map and table, slowest first; with dead time the rightmost characteristic roots instead."""
     root = view.evidence.slowest_root()
     line = view.verdict.line("stable")
     if np.isneginf(root.value) or np.isnan(root.value):
         finding = "Every root is slow: " + (line.note or "no error decays") + "."
     else:
-        finding = f"The rightmost fast pole is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
+        what = "root that is not slow, dead time included," if view.delayed else "fast pole"
+        finding = f"The rightmost {what} is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
     body: list[Block] = [Row((blocks.pole_map(view),)), blocks.pole_rows(view)]
     numbers: dict[str, Any] = {}
-    if view.lin.delay or view.lin.force_delay:
-        one = view.lin.again(view.times[view.worst.row : view.worst.row + 1])
-        roots = one.delay_roots(6)[0]
-        said = ", ".join(blocks.complex_words(complex(s)) for s in roots if s.imag >= 0)
-        body.append(Paragraph(f"With the exact dead time, the rightmost characteristic roots are at {said} 1/s."))
-        numbers["delay_roots"] = roots
+    if view.delayed:
+        numbers["delay_roots"] = view.poles[view.worst.row]
     return Section("Poles", finding, tuple(body), numbers=numbers)
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mfc_analysis.requirements.evidence import Evidence
 
 
+FEWEST_ROOTS = 6  #: of a loop with dead time
 NO_FEEDBACK = 1e-12  #: |L| below which a channel counts as without feedback
 MOST_DECADES = 7.0  #: of a frequency axis
 FAR, FAST = 0.5, 10.0  #: [rad, m], [rad/s, m/s] beyond which a diverging simulation is cut off
@@ -150,14 +151,24 @@ class View:
         return np.asarray(one.frequency_response(frequencies, at or self.point)[0, self.worst.channel if channel is None else channel])
 
     @property
+    def delayed(self) -> bool:
+        """Whether the loop has dead time that its poles leave out."""
+        return bool(self.lin.delay or self.lin.force_delay)
+
+    @cached_property
     def poles(self) -> Complex:
-        """(m, nx) closed-loop poles, slowest first; without dead time."""
-        return self.evidence.spectrum.poles
+        """(m, k) closed-loop poles, slowest first (a sampled loop: in z); with dead time its exact rightmost roots [1/s], rightmost first."""
+        if not self.delayed:
+            return self.evidence.spectrum.poles
+        found = self.evidence.roots[0]
+        if found.shape[1] < FEWEST_ROOTS:
+            found = self.lin.delay_roots(FEWEST_ROOTS)
+        return np.asarray(found[:, np.isfinite(found).all(axis=0)])
 
     @property
     def growth(self) -> float:
-        """[1/s] growth rate in the worst case: the largest real part of the poles; 0 if none is positive."""
-        real = self.evidence.spectrum.rates[self.worst.row].real
+        """[1/s] growth rate in the worst case: the largest real part of the roots, dead time included; 0 if none is positive."""
+        real = self.evidence.roots[0][self.worst.row].real
         return float(np.max(real[np.isfinite(real)], initial=0.0))
 
     def calm(self, duration: float) -> float:

@@ -8,6 +8,7 @@ import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.special import lambertw
 
 from mfc_analysis.report.document.document import Paragraph
 from mfc_analysis.report.loops import blocks
@@ -41,6 +42,21 @@ def test_a_pair_of_poles_is_one_row_with_its_frequency_damping_and_time_constant
     assert_allclose([frequency.value, damping.value, constant.value], [5.0, 0.6, 1 / 3])
     assert [row[-1] for row in blocks.pole_rows(open_loop()).rows] == ["slow"]
     assert len(blocks.pole_rows(links(), most=1).rows) == 1
+
+
+def test_with_dead_time_table_and_map_show_the_roots_that_the_verdict_counts_and_say_so() -> None:
+    """k T = 1.7 > pi/2: unstable, though the pole without dead time is at -k. The roots of s + k exp(-s T) are Lambert's W(-k T)/T."""
+    k, T = 17.0, 0.1
+    late = velocity(k, H(delay=T))
+    first = complex(lambertw(-k * T, 0)) / T
+    table = blocks.pole_rows(late)
+    assert "dead time included" in str(table.caption) and all("-17" not in str(row[0]) for row in table.rows)
+    assert table.rows[0][0] == pytest.approx(complex(first.real, abs(first.imag))) and table.rows[0][-1] == "unstable"
+    assert table.rows[0][3].value == pytest.approx(-1 / first.real) and first.real > 0
+    drawing = blocks.pole_map(late)
+    assert "dead time included" in str(drawing.caption) and "dead time" in drawing.draw.keywords["title"]
+    assert np.abs(drawing.draw.args[0] - table.rows[0][0]).min() < 1e-9 and late.growth == pytest.approx(first.real)
+    assert "dead time" not in str(blocks.pole_rows(velocity(k)).caption) + str(blocks.pole_map(velocity(k)).caption)
 
 
 def test_every_point_where_a_loop_opens_has_its_row_of_margins() -> None:
