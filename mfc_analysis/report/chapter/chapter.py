@@ -179,7 +179,10 @@ def _scope() -> Scope:
         ),
         operating_points=(
             f"{POINTS} times along a quintic path of {last.ref.duration:g} s for each arm, integral states trimmed",
-            "margins at the plant's input (torque, or velocity for 9.1 to 9.5), one channel at a time with the others closed",
+            (
+                "one channel opened at a time, the others closed; quoted margins are the smallest over all analysis points. The checks of 9.1 to"
+                " 9.16 are at the plant's input (torque, or velocity for 9.1 to 9.5), or at the point that they name"
+            ),
         ),
         not_checked=(
             "stability during motion: all metrics are frozen in time",

@@ -11,18 +11,16 @@ from mfc_analysis import laws, plots, robots
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.laws.force import ForceLaw
-from mfc_analysis.linearization.linearization import Linearization
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.report.chapter.pieces import agreement, at_least, at_most, in_words, least, pole_map, poles_table, response, slowest, validated
+from mfc_analysis.report.chapter.pieces import agreement, at_most, in_words, pole_map, poles_table, response, validated
+from mfc_analysis.report.chapter.smallest_margins import force_checks, force_facts, least, margin_numbers, tightest
 from mfc_analysis.report.document.document import (
     Callout,
     Cell,
     Column,
     Equation,
-    Fact,
     Figure,
-    KeyFacts,
     Math,
     Number,
     Paragraph,
@@ -31,7 +29,7 @@ from mfc_analysis.report.document.document import (
     Text,
     written,
 )
-from mfc_analysis.requirements.line import Line, Status
+from mfc_analysis.requirements.line import Status
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold
 
@@ -355,50 +353,4 @@ def arm_section() -> Section:
         SOURCES,
         loop="9.23 force PI, UR5",
         key="arm-force",
-    )
-
-
-def tightest(lin: Linearization) -> str:
-    """The smallest phase and delay margin of a loop over all its analysis points, as part of a sentence."""
-    phase, delay = (least(lin)[name] for name in ("phase_deg", "delay"))
-    return (
-        f"the smallest phase margin is {written(phase.value)}° ({phase.where}) and the smallest delay margin {written(1e3 * delay.value)} ms "
-        f"({delay.where})"
-    )
-
-
-def force_facts(lin: Linearization) -> KeyFacts:
-    """The smallest phase, gain and delay margin over all analysis points."""
-    m = least(lin)
-    phase, gain, delay = m["phase_deg"], m["gain_increase_db"], m["delay"]
-    return KeyFacts(
-        (
-            Fact("Phase margin", Number(phase.value, "°", infinite="no crossover", undefined="unstable"), phase.where),
-            Fact("Gain margin", Number(gain.value, "dB", undefined="unstable"), gain.where),
-            Fact("Delay margin", Number(1e3 * delay.value, "ms", infinite="no crossover", undefined="unstable"), delay.where),
-        )
-    )
-
-
-def margin_numbers(lin: Linearization) -> dict[str, object]:
-    """The smallest margins over all analysis points with their places, and those at the force sensor's z, by name."""
-    m = lin.margins("force")
-    names = ("phase_deg", "gain_increase", "gain_reduction", "delay", "sensitivity_peak", "crossover")
-    return {
-        "smallest": {name: found._asdict() for name, found in least(lin).items()},
-        "force": {name: float(getattr(m, name)[0, 2]) for name in names},
-    }
-
-
-def force_checks(lin: Linearization, phase: float, gain_db: float, peak: float) -> tuple[Line, ...]:
-    """Checks of a force loop's smallest margins over all analysis points, under the names that all loops share."""
-    m, slow = least(lin), slowest(lin.poles()[0]).real
-    up, down, late = m["gain_increase_db"], m["gain_reduction_db"], m["delay"]
-    return (
-        Line("stable", 0.0, slow, "1/s", -slow, Status.PASS if bool(lin.stable[0]) else Status.FAIL, "", None, "<"),
-        at_least("phase margin", phase, m["phase_deg"].value, "°", m["phase_deg"].where),
-        at_least("gain margin, up", gain_db, up.value, "dB", up.where),
-        at_least("gain margin, down", gain_db, down.value, "dB", down.where),
-        at_least("delay margin", 2.0, 1e3 * late.value, "ms", late.where),
-        at_most("sensitivity peak", peak, m["sensitivity_peak"].value, "", m["sensitivity_peak"].where),
     )

@@ -16,6 +16,7 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import POSE, arm, arm_loop
 from mfc_analysis.report.chapter.pieces import LYNCH, agreement, at_least
+from mfc_analysis.report.chapter.smallest_margins import least
 from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Row, Section, Table, written
 from mfc_analysis.report.loops.checks import checks as as_checks
 from mfc_analysis.requirements.line import Status
@@ -222,7 +223,7 @@ def disk_section() -> Section:
         row,
         Callout(Status.INFO, "Meaning of alpha", f"All torques: {all_.bound.value}. Torques and encoders: {both.bound.value}."),
     )
-    checks = as_checks(ASKED.check(loaded(), [0.0], at="torque").lines)
+    checks = as_checks(ASKED.check(loaded(), [0.0], at="torque").lines, "torque", least(lin))
     numbers = {
         "alpha_torque": a,
         "alpha_both": b,

@@ -15,8 +15,9 @@ from mfc_analysis.laws.constraints import projection
 from mfc_analysis.linearization.coupling import coupling, leak
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.report.chapter.force import KFI, KFP, POSE, Z, arm, force_checks, margin_numbers, tightest, tiny
-from mfc_analysis.report.chapter.pieces import agreement, at_most, in_words, least, response, validated
+from mfc_analysis.report.chapter.force import KFI, KFP, POSE, Z, arm, tiny
+from mfc_analysis.report.chapter.pieces import agreement, at_most, in_words, response, validated
+from mfc_analysis.report.chapter.smallest_margins import force_checks, least, margin_numbers, tightest
 from mfc_analysis.report.document.document import Block, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, written
 from mfc_analysis.report.loops.points import smallest
 from mfc_analysis.robots.robot import Robot

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,6 @@ from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.maths.arrays import Complex
 from mfc_analysis.plots.frequency import of_channel
 from mfc_analysis.report.document.document import Cell, Column, Figure, Row, Table, written
-from mfc_analysis.report.loops.points import Smallest, smallest
 from mfc_analysis.requirements.line import Line, Status
 
 if TYPE_CHECKING:
@@ -43,11 +42,6 @@ def at_least(name: str, asked: float, found: float, unit: str = "", where: str =
 def agreement(what: str, found: float, expected: float, percent: float) -> Line:
     """A check that a number differs from its closed form by at most ``percent`` [%] of that."""
     return at_most("deviation from theory", percent, 100 * abs(found - expected) / abs(expected), "%", what)
-
-
-def least(lin: Linearization) -> Mapping[str, Smallest]:
-    """The smallest margins over all analysis points of a linearised loop."""
-    return smallest([lin.margins(point) for point in lin.opened.points])
 
 
 def verdict_of(stable: bool, drifts: bool = False) -> Status:

@@ -15,7 +15,8 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.arms import per_joint
 from mfc_analysis.report.chapter.force import KDAMP, KFI, KFP, MASS, POSE, SOURCES, Z, arm_loop, slider_loop
-from mfc_analysis.report.chapter.pieces import agreement, at_least, least, pole_map
+from mfc_analysis.report.chapter.pieces import agreement, at_least, pole_map
+from mfc_analysis.report.chapter.smallest_margins import least
 from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Row, Section, Table, Text, written
 from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.simulation.settling import settles

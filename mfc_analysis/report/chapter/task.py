@@ -15,6 +15,7 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import POSE, arm
 from mfc_analysis.report.chapter.pieces import LYNCH, SICILIANO, at_most, in_words, poles_table, response, validated
+from mfc_analysis.report.chapter.smallest_margins import least, tightest
 from mfc_analysis.report.document.document import Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, Text, written
 from mfc_analysis.report.loops.checks import checks as as_checks
 from mfc_analysis.requirements.requirements import Requirements
@@ -82,7 +83,7 @@ def velocity_section() -> Section:
         at_most("deviation from theory", 1e-6, 100 * away / float(np.abs(first).max()), "%", "error over time"),
         at_most("deviation from theory", 1e-6, float(np.abs(m.phase_deg[0] / 90 - 1).max()) * 100, "%", "phase margin 90°"),
         at_most("deviation from theory", 1e-6, float(np.abs(m.delay[0] / (np.pi / (2 * k)) - 1).max()) * 100, "%", "delay margin π/(2k)"),
-        *as_checks(ASKED.check(loop, [0.0], at="command").lines),
+        *as_checks(ASKED.check(loop, [0.0], at="command").lines, "command", least(lin)),
     )
     numbers = {
         "times": run.t,
@@ -251,12 +252,11 @@ def torque_section() -> Section:
     real = ClosedLoop(arm().with_payload(2.0), law, path(), controller_model=arm(), q_start=POSE, hardware=Hardware(torque_lag=2e-3))
     lin = real.linearize(t)
     still = ClosedLoop(arm().with_payload(2.0), law, ToolHold(arm().pose(POSE)), controller_model=arm(), q_start=POSE)
-    at = {point: lin.margins(point) for point in ("torque", "command")}
+    at = {point: lin.margins(point) for point in lin.opened.points}
     worst = {point: m.worst().phase_deg for point, m in at.items()}
     finding = (
         f"With an exact model the error polynomial is the design polynomial to the sixth power, to {written(away, 2)} at all {len(t)} times. With an "
-        f"unknown payload of 2 kg and a torque lag of 2 ms the smallest phase margin is {written(worst['torque'][0])}° at the torques and "
-        f"{written(worst['command'][0])}° at the command."
+        f"unknown payload of 2 kg and a torque lag of 2 ms {tightest(lin)}."
     )
     i = int(np.argmin(np.abs(t - worst["torque"][1])))
     j = at["torque"].channels.index(worst["torque"][2])
@@ -285,7 +285,7 @@ def torque_section() -> Section:
     )
     checks = (
         at_most("deviation from theory", 1e-6, 100 * away, "%", "error polynomial"),
-        *as_checks(ASKED.check(real, t, at="torque").lines),
+        *as_checks(ASKED.check(real, t, at="torque").lines, "torque", least(lin)),
     )
     numbers = {
         "times": t,

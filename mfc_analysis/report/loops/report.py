@@ -165,7 +165,9 @@ def scope(views: Sequence[View]) -> Scope:
             if len(t) == 1
             else f"{len(t)} times from {written(float(t[0]), exact=True)} to {written(float(t[-1]), exact=True)} s"
         )
-        points.append(f"{v.name if len(views) > 1 else 'on the reference'}: {span}, coordinates “{v.lin.coordinates}”, margins at “{v.point}”")
+        points.append(
+            f"{v.name if len(views) > 1 else 'on the reference'}: {span}, coordinates “{v.lin.coordinates}”, requirements on margins at “{v.point}”"
+        )
     if len(views) > 6:
         points.append(f"and {len(views) - 6} more loops")
     assumed = [

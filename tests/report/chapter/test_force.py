@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
-from mfc_analysis.analysis.stability import stability
 from mfc_analysis.report.chapter import force
 from mfc_analysis.report.document.document import written
-from mfc_analysis.requirements.line import Status
 from tests.report.read import told
 
 
@@ -45,32 +41,6 @@ def test_pushing_on_nothing_the_speed_is_the_integral_of_the_force() -> None:
     assert_allclose(bare, F * (1 + kfp) / m * t, atol=1e-9)  # 9.22 without its integral
     damped = force.slider_loop(None, kfp, None, 20.0).simulate(t, rtol=1e-9, atol=1e-12).twist[:, 2]
     assert_allclose(damped, F * (1 + kfp) / 20.0 * (1 - np.exp(-20.0 / m * t)), atol=1e-8)  # 9.23 without: a speed, no ramp
-
-
-def test_each_check_of_a_force_loop_turns_at_the_margin_that_was_found() -> None:
-    lin = force.slider_loop(2e3, hardware=mfc.Hardware(torque_lag=2e-3)).linearize()
-    n = {name: found["value"] for name, found in force.margin_numbers(lin)["smallest"].items()}
-    for side, status in ((1 - 1e-6, Status.PASS), (1 + 1e-6, Status.FAIL)):
-        lines = force.force_checks(lin, side * n["phase_deg"], side * n["gain_increase_db"], n["sensitivity_peak"] / side)
-        assert [lines[k].status for k in (1, 2, 5)] == [status] * 3
-    phase, gain, delay = (x.value.value for x in force.force_facts(lin).facts)
-    assert_allclose([phase, gain, delay], [n["phase_deg"], n["gain_increase_db"], 1e3 * n["delay"]])
-
-
-def test_the_delay_margin_of_the_arm_is_that_of_the_torque_loop_that_breaks_first() -> None:
-    """The force sensor alone would take 45.8 ms; dead time in one torque breaks the loop at 5.28 ms, on both sides of which it is tried."""
-    loop = force.arm_loop(hardware=mfc.Hardware(torque_lag=2e-3))
-    lin = loop.linearize()
-    found = force.margin_numbers(lin)
-    late = found["smallest"]["delay"]
-    assert (late["point"], late["channel"]) == ("torque", "wrist_3_joint") and found["force"]["delay"] > 8 * late["value"]
-    wires = lin.opened.wires["torque"]
-    for part, stable in ((0.99, True), (1.01, False)):
-        delay = np.zeros(len(lin.opened.wire_delay))
-        delay[wires][5] = part * late["value"]  # a slice is a view
-        assert bool(stability(replace(lin.opened, wire_delay=delay)).nonzero_stable[0]) is stable
-    line = next(x for x in force.force_checks(lin, 45.0, 6.0, 2.0) if x.name == "delay margin")
-    assert line.found == 1e3 * late["value"] and line.where == "wrist_3_joint at “torque”"
 
 
 def test_where_a_curve_first_rises_through_a_level_is_exact_for_a_power() -> None:

@@ -106,7 +106,7 @@ def test_free_space_gives_the_speeds_of_the_integrated_equation() -> None:
 
 
 def test_force_margins_of_the_slider_are_python_controls() -> None:
-    n = told("force")["slider-force"]["numbers"]
+    n = told("force")["slider-force"]["numbers"]["force"]
     k, T = 2e3, 2e-3
     L = control.tf([k * force.KFP, k * force.KFI], [1, 0]) * control.tf([1], [force.MASS * T, force.MASS, force.KDAMP + k * T, k])
     gain, phase, _, crossover = control.margin(L)
@@ -119,7 +119,7 @@ def test_force_margins_of_the_arm_are_python_controls() -> None:
     n = told("force")["arm-force"]["numbers"]
     lin = force.arm_loop(1e4, hardware=mfc.Hardware(torque_lag=2e-3)).linearize()
     gain, phase, _, crossover = control.margin(lin.loop(0, at="force", channel="fz"))
-    assert (n["gain_increase"], n["phase_deg"], n["crossover"]) == pytest.approx((gain, phase, crossover), rel=1e-5)
+    assert tuple(n["force"][name] for name in ("gain_increase", "phase_deg", "crossover")) == pytest.approx((gain, phase, crossover), rel=1e-5)
     assert n["verdicts"]["9.22"] == "unstable"
     run = force.arm_loop(1e4, mfc.laws.ForcePI(20 * force.Z, force.Z, 5 * force.Z), hardware=mfc.Hardware(torque_lag=2e-3)).simulate(
         np.linspace(0, 0.4, 100), v=np.linalg.solve(mfc.robots.ur5().jacobian(force.POSE), 1e-3 * force.Z), rtol=1e-4, atol=1e-7
@@ -151,7 +151,7 @@ def test_work_is_the_same_in_every_frame() -> None:
 def test_hybrid_margins_are_python_controls() -> None:
     n = told("hybrid")["hybrid"]["numbers"]
     lin = hybrid.hybrid_loop(hardware=mfc.Hardware(torque_lag=2e-3)).linearize()
-    assert n["force_phase_deg"]["dynamic"] == pytest.approx(control.margin(lin.loop(0, at="force", channel="fz"))[1], rel=1e-5)
+    assert n["force"]["phase_deg"] == pytest.approx(control.margin(lin.loop(0, at="force", channel="fz"))[1], rel=1e-5)
     assert n["motion_phase_deg"][0] == pytest.approx(control.margin(lin.loop(0, at="command", channel="vx"))[1], rel=1e-5)
 
 
