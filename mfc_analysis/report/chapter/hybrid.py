@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import cache, partial
 from typing import Any, Literal, NamedTuple
 
@@ -107,7 +108,7 @@ def margins_section() -> Section:
     checks = force_checks(lin, 45.0, 6.0, 2.0)
     numbers = {
         **margin_numbers(lin),
-        "smallest_selection": {name: found._asdict() for name, found in least(lins["selection"]).items()},
+        "smallest_selection": {name: asdict(found) for name, found in least(lins["selection"]).items()},
         "motion_phase_deg": c.phase_deg[0],
         "poles": lin.poles()[0],
         "validation": validated(hybrid_loop(), 0.05),

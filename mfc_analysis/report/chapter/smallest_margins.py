@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from mfc_analysis.report.chapter.pieces import at_least, at_most, slowest
@@ -46,7 +47,7 @@ def margin_numbers(lin: Linearization) -> dict[str, object]:
     m = lin.margins("force")
     names = ("phase_deg", "gain_increase", "gain_reduction", "delay", "sensitivity_peak", "crossover")
     return {
-        "smallest": {name: found._asdict() for name, found in least(lin).items()},
+        "smallest": {name: asdict(found) for name, found in least(lin).items()},
         "force": {name: float(getattr(m, name)[0, 2]) for name in names},
     }
 

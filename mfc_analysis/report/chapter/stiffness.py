@@ -17,7 +17,22 @@ from mfc_analysis.report.chapter.arms import per_joint
 from mfc_analysis.report.chapter.force import KDAMP, KFI, KFP, MASS, POSE, SOURCES, Z, arm_loop, slider_loop
 from mfc_analysis.report.chapter.pieces import agreement, at_least, pole_map
 from mfc_analysis.report.chapter.smallest_margins import least
-from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Row, Section, Table, Text, written
+from mfc_analysis.report.document.document import (
+    Callout,
+    Cell,
+    Column,
+    Equation,
+    Fact,
+    Figure,
+    KeyFacts,
+    Math,
+    Number,
+    Row,
+    Section,
+    Table,
+    Text,
+    written,
+)
 from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.simulation.settling import settles
 
@@ -170,7 +185,7 @@ def arm_section() -> Section:
     found = mapped(lambda k, g: arm_loop(k, kfp=g, hardware=FILTERED), np.geomspace(0.3, 10, 12), ((limit / ASIDE, KFP), (limit * ASIDE, KFP)), kick)
     shown = [int(np.argmin(np.abs(SPAN - k))) for k in (1e2, 1e3, 1e4, 1e5, 1e6)]
     tried = [least(arm_loop(float(SPAN[i]), hardware=FILTERED).linearize()) for i in shown]
-    rows = tuple(
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
         (
             f"{SPAN[i] / 1e3:g}",
             *(Number(scale * m[name].value, infinite="no crossover", undefined="unstable") for name, scale in MARGINS),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +16,8 @@ PEAK = "sensitivity_peak"
 METRICS = ("phase_deg", "gain_increase_db", "gain_reduction_db", "delay", PEAK)  #: fields of ``Margins``
 
 
-class Smallest(NamedTuple):
+@dataclass(frozen=True)
+class Smallest:
     """The smallest margin (largest peak) of a loop."""
 
     value: float  #: in the unit of the metric; NaN: the loop is unstable

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -73,7 +74,7 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
         "neutral": view.lin.neutral,
         "drifts": view.lin.drifts,
         "worst": {"time": w.time, "channel": w.name},
-        "smallest": {name: found._asdict() for name, found in view.smallest.items()},
+        "smallest": {name: asdict(found) for name, found in view.smallest.items()},
         "poles": view.evidence.spectrum.poles[i],
         **({"delay_roots": view.poles[i]} if view.delayed else {}),
         "channels": m.channels,
