@@ -134,7 +134,7 @@ def _cell(pair: tuple[Section, Line] | None, keys: dict[int, str], what: str = "
         return None
     section, check = pair
     value = str(replace(found_of(check), unit="")) if unit is not None else str(found_of(check))
-    value += f"; {check.elsewhere}" if check.elsewhere else ""
+    value += f"; {check.elsewhere.partition(' (')[0]}" if check.elsewhere else ""  # the channel is beside the evidence
     return MatrixCell(check.status, f"{what}: {value}" if what else value, keys[id(section)])
 
 

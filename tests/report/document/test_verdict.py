@@ -100,3 +100,11 @@ def test_requirements_are_listed_failures_first():
 @pytest.mark.parametrize("overshoot", [9.99, 10.01])
 def test_the_banner_turns_exactly_where_a_check_does(overshoot):
     assert verdict(samples.document(overshoot)).status is (Status.PASS if overshoot < 10 else Status.FAIL)
+
+
+def test_a_cell_names_the_point_of_a_smaller_margin_and_leaves_its_channel_to_the_evidence() -> None:
+    line = Line("delay margin", 2.0, 45.8, "ms", 43.8, Status.PASS, "fz at “force”", elsewhere="5.28 ms at “torque” (wrist_3_joint)")
+    section = Section("one", checks=(line,), loop="one", key="one")
+    found = matrix(Document("", "", (section,), "x"), {id(section): "one"})
+    assert found is not None and found.rows[0][2][0].text == "45.8; 5.28 ms at “torque”"
+    assert "wrist_3_joint" in str(requirements(section).rows[0][-1])
