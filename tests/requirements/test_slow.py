@@ -25,9 +25,7 @@ def test_a_tool_on_a_smooth_wall_slides_and_the_cure_is_named(hardware: dict[str
     assert "along z" not in words.means  # the wall holds it there
 
 
-@pytest.mark.parametrize(
-    "q", [[0.68, -0.81, -2.3, -2.46, 1.57, 2.28, 0.53], [1.15, -1.14, 1.82, -1.18, -1.0, 1.05, -2.36]], ids=["first", "second"]
-)
+@pytest.mark.parametrize("q", [[0.68, -0.81, -2.3, -2.46, 1.57, 2.28, 0.53], [1.15, -1.14, 1.82, -1.18, -1.0, 1.05, -2.36]], ids=["first", "second"])
 @pytest.mark.parametrize("hardware", [{}, {"torque_lag": 2e-3}], ids=["ideal", "lag"])
 def test_a_redundant_arm_never_slides_into_the_wall(q: list[float], hardware: dict[str, float]) -> None:
     """The wall gives way by F/k only: joints that move together leave its normal alone, whichever of them moves the most."""
