@@ -37,6 +37,8 @@ def _placed(line: Line, point: str, least: Mapping[str, Smallest]) -> Line:
     if other is None or other.point == point or not isfinite(other.value):
         return line
     value = found_of(_shown(replace(line, found=other.value)))
+    if str(value) == str(found_of(_shown(line))):
+        return line  # the same to the digits shown
     missed = other.value > line.asked if line.name == PEAK else other.value < line.asked
     return replace(line, elsewhere=f"{value} at “{other.point}” ({other.channel}){', beyond the limit' if missed else ''}")
 
