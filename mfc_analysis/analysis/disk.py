@@ -50,12 +50,15 @@ class Bound(Enum):
 
 @dataclass(frozen=True, eq=False)
 class DiskMargin:
-    """Disk margins at m points: all channels perturbed at once, independently. NaN where roots that are not slow are unstable."""
+    """Disk margins at m points: all channels perturbed at once, independently.
+
+    NaN where a root that is not slow is unstable, or every root is slow.
+    """
 
     times: Array  #: (m,) [s]
     at: tuple[str, ...]  #: the analysis points opened together
     channels: tuple[str, ...]  #: (k,) names
-    stable: Bools  #: (m,) of the closed loop; read this first
+    stable: Bools  #: (m,) of the closed loop: the roots that are not slow decay, there are some, and nothing drifts; read this first
     drifts: Bools  #: (m,) the slow part keeps moving within the horizon; alpha is that of the other roots
     alpha: Array  #: (m,) guaranteed disk size, 0..2
     frequency: Array  #: (m,) [rad/s] where the disk is tightest; inf: nowhere below 2
@@ -85,7 +88,7 @@ class DiskMargin:
         return np.asarray(np.degrees(2 * np.arctan(self.alpha / 2)))
 
     def worst(self) -> tuple[float, float, float]:
-        """Smallest alpha, its time [s] and frequency [rad/s]; NaN where every point is unstable."""
+        """Smallest alpha, its time [s] and frequency [rad/s]; NaN where no point has one."""
         if np.isnan(self.alpha).all():
             return float("nan"), float("nan"), float("nan")
         k = int(np.nanargmin(self.alpha))

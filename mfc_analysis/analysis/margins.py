@@ -39,7 +39,7 @@ class Worst:
     phase_deg: tuple[float, float, str]
     delay: tuple[float, float, str]  #: [s]
     sensitivity_peak: tuple[float, float, str]
-    unstable: tuple[float, ...]  #: [s] times at which the closed loop is not stable
+    unstable: tuple[float, ...]  #: [s] times at which the closed loop is not ``stable``: no metrics there, except where it only drifts
 
     def __str__(self) -> str:
         if self.unstable and np.isnan(self.phase_deg[0]):
@@ -51,7 +51,8 @@ class Worst:
             f"delay {_milliseconds(self.delay[0])} ({self.delay[2]}, t = {self.delay[1]:.4g} s)",
             f"Ms {self.sensitivity_peak[0]:.3g} ({self.sensitivity_peak[2]}, t = {self.sensitivity_peak[1]:.4g} s)",
         )
-        before = f"not stable at {len(self.unstable)} times, first t = {self.unstable[0]:.4g} s; elsewhere " if self.unstable else ""
+        times = "1 time" if len(self.unstable) == 1 else f"{len(self.unstable)} times"
+        before = f"not stable at {times}, first t = {self.unstable[0]:.4g} s; where defined: " if self.unstable else ""
         return before + ", ".join(parts)
 
 
@@ -66,7 +67,7 @@ class Margins:
     times: Array  #: (m,) [s]
     at: str  #: the analysis point
     channels: tuple[str, ...]  #: (n,) names
-    stable: Bools  #: (m,) of the closed loop; read this first
+    stable: Bools  #: (m,) of the closed loop: the roots that are not slow decay, there are some, and nothing drifts; read this first
     drifts: Bools  #: (m,) the slow part keeps moving within the horizon; the metrics are those of the other roots
     gain_reduction: Array  #: (m, n) factor; stable for gains in (reduction, increase); 0: for all lower gains
     gain_increase: Array  #: (m, n) factor; inf where no increase destabilises
@@ -92,7 +93,7 @@ class Margins:
             return np.asarray(-20 * np.log10(self.gain_reduction))
 
     def worst(self) -> Worst:
-        """The smallest margins (largest reduction and peak) with their times and channels; unstable points are listed separately."""
+        """The smallest margins (largest reduction and peak) with their times and channels; points that are not stable are listed separately."""
 
         def pick(values: Array, largest: bool) -> tuple[float, float, str]:
             some = np.flatnonzero(~np.isnan(values))

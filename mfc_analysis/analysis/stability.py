@@ -62,11 +62,11 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
 
 
 def growth(system: OpenSystem) -> Array:
-    """(m,) [1/s] largest real part of the closed loop's roots that are not slow, dead time included."""
+    """(m,) [1/s] largest real part of the closed loop's roots that are not slow, dead time included; NaN where every root is slow."""
     system = without_idle(system)
     found = spectrum(system)
     if system.delayed:
         count = int(stability(system, found).slow.max(initial=0)) + 2
         roots = delay_roots(system, count)
         return np.asarray(np.where(np.abs(roots) < system.radius, -np.inf, roots.real).max(axis=1))
-    return np.asarray(np.where(found.slow, -np.inf, found.rates.real).max(axis=1))
+    return np.asarray(np.where(found.slow.all(axis=1), np.nan, np.where(found.slow, -np.inf, found.rates.real).max(axis=1)))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.stability import growth
+from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.dynamics.hardware import LONGEST, SHORTEST, Hardware
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.loop import ClosedLoop
@@ -22,7 +23,7 @@ class DelayMap:
 
     delays: Array  #: (d,) [s]
     values: Array  #: (g,) of the second quantity
-    growth: Array  #: (g, d) [1/s] largest real part of the roots that are not at zero; negative: stable
+    growth: Array  #: (g, d) [1/s] largest real part of the roots that are not slow; negative: stable
 
     @property
     def stable(self) -> Bools:
@@ -30,13 +31,15 @@ class DelayMap:
         return np.asarray(self.growth < 0)
 
 
-def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0) -> Array:
-    """(d,) [1/s] largest real part of the exact roots that are not at zero, for each dead time of the actuators in place of the given one.
+def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0, *, horizon: float = HORIZON) -> Array:
+    """(d,) [1/s] largest real part of the exact roots that are not slow, for each dead time of the actuators in place of the given one.
 
     Args:
-        loop: a continuous loop. delays: (d,) [s], 1e-9 to 1e9. time: [s] on the reference.
+        loop: a continuous loop. delays: (d,) [s], 1e-9 to 1e9. time: [s] on the reference. horizon: [s] of the verdict: roots with
+            abs(s) < 1/horizon are slow.
 
-    The dead time of the force sensor is kept. Raises BadArgument for other dead times, Unsupported for a sampled loop.
+    The dead time of the force sensor is kept. Raises BadArgument for other dead times, a horizon below 1e-6 s or
+    below a twentieth of a dead time, Unsupported for a sampled loop.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     takes = f"dead times from {SHORTEST:g} to {LONGEST:g} s"
@@ -47,7 +50,7 @@ def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0) -> Array:
     if hardware.sample_time is not None:
         raise Unsupported("hardware.sample_time", hardware.sample_time, "a continuous loop: the poles of a sampled loop include its dead time")
     late = replace(loop, hardware=replace(hardware, delay=1.0))
-    opened = late.linearize([time]).opened
+    opened = late.linearize([time], horizon=horizon).opened
     where = opened.wires[late.equations.actuator]
     out = np.empty(T.size)
     for i, each in enumerate(T):
@@ -57,15 +60,15 @@ def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0) -> Array:
     return out
 
 
-def delay_map(make_loop: Callable[[float], ClosedLoop], delays: ArrayLike, values: ArrayLike) -> DelayMap:
+def delay_map(make_loop: Callable[[float], ClosedLoop], delays: ArrayLike, values: ArrayLike, *, horizon: float = HORIZON) -> DelayMap:
     """The loop ``make_loop(value)`` over dead time x values, one linearisation for each value.
 
     Args:
-        make_loop: value (a bandwidth, a gain, a payload) -> loop. delays: (d,) [s] > 0. values: (g,).
+        make_loop: value (a bandwidth, a gain, a payload) -> loop. delays: (d,) [s] > 0. values: (g,). horizon: [s] of the verdict.
 
     Raises as ``over_delay``.
     """
     at, T = checks.vector("values", values), checks.vector("delays", delays)
     if at.size == 0:
         raise BadArgument("values", values, "at least one value")
-    return DelayMap(T, at, np.stack([over_delay(make_loop(float(v)), T) for v in at]))
+    return DelayMap(T, at, np.stack([over_delay(make_loop(float(v)), T, horizon=horizon) for v in at]))

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.spectrum import poles as poles_of
 from mfc_analysis.analysis.stability import Stability, growth, stability
-from mfc_analysis.analysis.system import OpenSystem, without_idle
+from mfc_analysis.analysis.system import HORIZON, OpenSystem, without_idle
 from mfc_analysis.dynamics.environment import STIFFEST, stiffened
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
@@ -45,17 +45,17 @@ class StiffnessSweep:
 
     @cached_property
     def stability(self) -> Stability:
-        """Stable, neutral or drifting at each stiffness, dead time included."""
+        """The verdict over the horizon at each stiffness, dead time included."""
         return stability(without_idle(self.opened))
 
     @property
     def stable(self) -> Bools:
-        """(k,) True where all roots that are not at zero are stable, dead time included."""
+        """(k,) True where the roots that are not slow decay, dead time included; False where every root is slow."""
         return self.stability.nonzero_stable
 
     @cached_property
     def growth(self) -> Array:
-        """(k,) [1/s] largest real part of the roots that are not at zero, dead time included; ln|z| / dt for a sampled loop."""
+        """(k,) [1/s] largest real part of the roots that are not slow, dead time included; ln|z| / dt for a sampled loop; NaN: every root is slow."""
         return growth(self.opened)
 
     def margins(self, at: str = "force") -> Margins:
@@ -65,27 +65,27 @@ class StiffnessSweep:
         return margins(self.opened, at)
 
 
-def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0) -> StiffnessSweep:
+def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0, *, horizon: float = HORIZON) -> StiffnessSweep:
     """The loop at k stiffnesses of every surface that has a preload; surfaces without one do not change.
 
     Args:
         loop: a torque loop in contact. stiffness: (k,) [N/m, Nm/rad] > 0, to which those surfaces are scaled. time: [s] on the
-            reference; this operating point and its force are kept.
+            reference; this operating point and its force are kept. horizon: [s] of the verdict: roots with abs(s) < 1/horizon are slow.
 
     Raises:
-        BadArgument: no surface with a preload, or stiffnesses that are not positive.
+        BadArgument: no surface with a preload, stiffnesses that are not positive, a horizon below 1e-6 s or two sample times.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     takes = f"stiffnesses > 0, up to {STIFFEST:g} N/m"
     k = checks.vector("stiffness", stiffness, takes)
     if np.any(k <= 0) or np.any(k > STIFFEST):
         raise BadArgument("stiffness", stiffness, takes)
-    return _line(loop, time)(k)
+    return _line(loop, time, horizon)(k)
 
 
-def _line(loop: ClosedLoop, time: float) -> Callable[[Array], StiffnessSweep]:
+def _line(loop: ClosedLoop, time: float, horizon: float) -> Callable[[Array], StiffnessSweep]:
     """Stiffnesses (k,) -> the loop at these, from two linearisations made once."""
-    first = at_stiffness(loop, _APART[0], time).linearize([time])
+    first = at_stiffness(loop, _APART[0], time).linearize([time], horizon=horizon)
     one, two = first.opened, at_stiffness(loop, _APART[1], time).linearize([time], coordinates=first.coordinates).opened
 
     def swept(k: Array) -> StiffnessSweep:
@@ -114,7 +114,7 @@ class StabilityMap:
 
     stiffness: Array  #: (k,) [N/m]
     values: Array  #: (g,) of the second quantity
-    growth: Array  #: (g, k) [1/s] largest real part of the roots that are not at zero; negative: stable
+    growth: Array  #: (g, k) [1/s] largest real part of the roots that are not slow; negative: stable; NaN: every root is slow, not stable
 
     @property
     def stable(self) -> Bools:
@@ -125,40 +125,42 @@ class StabilityMap:
         """(g,) [N/m] the lowest stiffness at which the loop loses stability, interpolated; inf: nowhere; NaN: unstable at the first stiffness."""
         out = np.full(len(self.values), np.inf)
         for i, row in enumerate(self.growth):
-            lost = np.flatnonzero((row[:-1] < 0) & (row[1:] >= 0))
+            lost = np.flatnonzero((row[:-1] < 0) & ~(row[1:] < 0))
             if lost.size:
                 j = int(lost[0])
-                a, b = np.arcsinh(row[j]), np.arcsinh(row[j + 1])
+                a, b = np.arcsinh(row[j]), np.arcsinh(np.nan_to_num(row[j + 1]))
                 log = np.log(self.stiffness[j : j + 2])
                 out[i] = np.exp(log[0] + (log[1] - log[0]) * a / (a - b))
-            elif row[0] >= 0:
+            elif not row[0] < 0:
                 out[i] = np.nan
         return out
 
 
-def stiffness_map(make_loop: Callable[[float], ClosedLoop], stiffness: ArrayLike, values: Sequence[float] | Array) -> StabilityMap:
+def stiffness_map(
+    make_loop: Callable[[float], ClosedLoop], stiffness: ArrayLike, values: Sequence[float] | Array, *, horizon: float = HORIZON
+) -> StabilityMap:
     """The loop ``make_loop(value)`` over stiffness x values: two linearisations for each value, for any number of stiffnesses.
 
     Args:
-        make_loop: value (a gain, a lag, a dead time) -> loop in contact. stiffness: (k,) [N/m]. values: (g,).
+        make_loop: value (a gain, a lag, a dead time) -> loop in contact. stiffness: (k,) [N/m]. values: (g,). horizon: [s] of the verdict.
 
     Raises as ``over_stiffness``.
     """
     at, k = checks.vector("values", values), checks.vector("stiffness", stiffness)
     if at.size == 0:
         raise BadArgument("values", values, "at least one value")
-    return StabilityMap(k, at, np.stack([over_stiffness(make_loop(float(v)), k).growth for v in at]))
+    return StabilityMap(k, at, np.stack([over_stiffness(make_loop(float(v)), k, horizon=horizon).growth for v in at]))
 
 
-def stable_up_to(loop: ClosedLoop, upper: float = 1e6, lower: float = 1.0) -> float:
+def stable_up_to(loop: ClosedLoop, upper: float = 1e6, lower: float = 1.0, *, horizon: float = HORIZON) -> float:
     """[N/m] the lowest stiffness in (lower, upper) at which the loop loses stability, to a relative 1e-6.
 
-    inf: stable throughout; NaN: unstable at ``lower``. Checks exact stability, dead time included, at 20 stiffnesses and then between two
-    of them; a narrower window of instability can be missed. As ``design.max_stiffness``, in a tenth of its time.
+    inf: stable throughout; NaN: unstable at ``lower``. Checks exact stability over ``horizon`` [s], dead time included, at 20 stiffnesses and
+    then between two of them; a narrower window of instability can be missed. As ``design.max_stiffness``, in a tenth of its time.
     Raises as ``over_stiffness``.
     """
     low, high = (checks.number(name, x, low=0.0, high=STIFFEST, strict=True) for name, x in (("lower", lower), ("upper", upper)))
-    swept, grid = _line(loop, 0.0), np.geomspace(low, high, 20)
+    swept, grid = _line(loop, 0.0, horizon), np.geomspace(low, high, 20)
     stable = swept(grid).stable
     if not stable[0]:
         return float("nan")

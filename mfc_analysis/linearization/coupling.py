@@ -59,7 +59,7 @@ def coupling(lin: Linearization, inputs: tuple[str, ...], outputs: tuple[str, ..
 
     Args:
         inputs, outputs: names of ``lin.input_names`` and ``lin.output_names``, e.g. ("F_d_fz",) and ("X_e_vx", "X_e_vy").
-        frequencies: (nf,) [rad/s], nonzero where the loop has roots at zero.
+        frequencies: (nf,) [rad/s], nonzero where a slow root is exactly zero.
 
     Raises UnknownName, and BadArgument for frequencies that are not a list of numbers or a sampled loop.
     """

@@ -240,7 +240,7 @@ def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
 
 
 def _notes(evidence: Evidence, status: Status) -> tuple[str, ...]:
-    """Remarks on the metrics: frozen time, neutral roots, dead time and idle integrals."""
+    """Remarks on the metrics: frozen time, slow roots, dead time and idle integrals."""
     out, verdict, lin = [], evidence.stability, evidence.linearization
     if not evidence.equations.reference_source.is_hold:
         out.append(

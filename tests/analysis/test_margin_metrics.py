@@ -1,4 +1,4 @@
-"""From crossings to margins: factors, phases and delays of crossings made by hand, the ends at zero and infinity, roots at zero taken out."""
+"""From crossings to margins: factors, phases and delays of crossings made by hand, the ends at zero and infinity, slow roots taken out."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def test_the_growth_is_that_of_the_rightmost_pole_with_the_slow_ones_left_out():
     assert_allclose(growth(from_matrix(np.diag([-5.0, -0.2, -3.0]))), -0.2)
     assert_allclose(growth(from_matrix(np.diag([-5.0, 0.0, -3.0]))), -3.0)
     assert_allclose(growth(from_matrix(companion(-2.0, 26.0))), 1.0)
-    assert growth(from_matrix(np.zeros((2, 2))))[0] == -np.inf
+    assert np.isnan(growth(from_matrix(np.zeros((2, 2))))[0])  # nothing but slow roots: not stable, so not -inf
 
 
 def test_the_growth_of_a_sampled_loop_is_in_rates_not_in_z():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import lambertw
 
 import mfc_analysis as mfc
 from mfc_analysis.design.dead_time import delay_map, over_delay
@@ -38,8 +39,19 @@ def test_the_loops_own_dead_time_is_replaced() -> None:
     assert over_delay(loop(delay=0.3), [0.1])[0] == pytest.approx(over_delay(loop(), [0.1])[0], rel=1e-12)
 
 
+def test_a_slow_growth_counts_within_a_longer_horizon_only() -> None:
+    k, T = -0.02, 0.1  # s = 0.02 e^(-s T): s T = W(0.02 T), 0.01996 1/s on the main branch of Lambert's function
+    every = np.array([lambertw(-k * T, branch) / T for branch in (-1, 0, 1)])
+    assert over_delay(loop(k), [T], horizon=1e3)[0] == pytest.approx(every.real.max(), rel=1e-9)
+    assert over_delay(loop(k), [T], horizon=10.0)[0] == pytest.approx(np.sort(every.real)[-2], rel=1e-9)
+    found = [delay_map(loop, [T, 2 * T], [k, 4.0], horizon=horizon).stable.tolist() for horizon in (1e3, 10.0)]
+    assert found == [[[False, False], [True, True]], [[True, True], [True, True]]]
+
+
 def test_bad_input_is_named() -> None:
     with pytest.raises(BadArgument, match="delays"):
         over_delay(loop(), [0.0])
+    with pytest.raises(BadArgument, match="horizon"):
+        over_delay(loop(), [0.1], horizon=1e-3)  # dead times up to twenty horizons
     with pytest.raises(Unsupported, match="sample_time"):
         over_delay(loop(sample_time=0.01), [0.1])

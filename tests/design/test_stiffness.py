@@ -109,8 +109,36 @@ def test_a_loop_without_a_limit_says_so_and_one_that_is_never_stable_too() -> No
 
 def test_a_force_channel_that_no_gain_uses_has_no_loop() -> None:
     law = mfc.laws.DampedForcePI(F_D, Z, 5 * Z, [100, 100, 100, 2, 2, 2])
-    surfaces = [mfc.Environment(3e3, preload=10.0), mfc.Environment(200.0, axes="rxry")]  # free to slide: roots at zero besides the idle integrals
+    surfaces = [mfc.Environment(3e3, preload=10.0), mfc.Environment(200.0, axes="rxry")]  # free to slide: slow roots besides the idle integrals
     loop = mfc.ClosedLoop(mfc.robots.ur5(), law, mfc.trajectories.Hold(Q), environment=surfaces, hardware=mfc.Hardware(torque_lag=2e-3))
     found = loop.linearize().margins("force")
     assert_allclose(found.sensitivity_peak[0, [0, 1, 3, 4]], 1.0, rtol=1e-12)
     assert 1.0 < found.sensitivity_peak[0, 2] < 2.0
+
+
+def test_a_slow_growth_counts_within_a_longer_horizon_only() -> None:
+    """A negative integral gain leaves one root near -kfi / (1 + kfp) = 0.01 1/s: slow within 50 s, unstable within 1000 s."""
+    creeping, k = slider(kfi=-0.02, torque_lag=2e-3), np.array([1e3, 5e3])
+    short, long = over_stiffness(creeping, k, horizon=50.0), over_stiffness(creeping, k, horizon=1e3)
+    roots = [np.roots([2e-3, 1.0, 20.0 + 2e-3 * x, 2 * x, -0.02 * x]) for x in k]
+    assert short.stable.all() and not long.stable.any()
+    assert_allclose(long.growth, [r.real.max() for r in roots], rtol=1e-6)
+    assert_allclose(short.growth, [r.real[np.abs(r) > 0.02].max() for r in roots], rtol=1e-6)
+    assert_allclose(short.margins().phase_deg[:, 2] > 0, True)
+    assert np.isnan(long.margins().phase_deg[:, 2]).all()
+
+
+def test_the_boundary_of_a_map_and_the_largest_stiffness_follow_the_horizon() -> None:
+    T, kfi, kdamp, kfp = 2e-3, -0.02, 20.0, 1.0
+    limit = (kdamp * (1 + kfp) - kfi) / (T * kfp * (1 + kfp))
+    creeping, k = slider(kfp, kfi, kdamp, torque_lag=T), np.geomspace(1e2, 1e6, 400)
+    assert stable_up_to(creeping, horizon=50.0) == pytest.approx(limit, rel=1e-6)
+    assert np.isnan(stable_up_to(creeping, horizon=1e3)) and mfc.design.max_stiffness(creeping, horizon=1e3) == 0.0
+    assert stiffness_map(lambda g: creeping, k, [1.0], horizon=50.0).boundary()[0] == pytest.approx(limit, rel=1e-3)
+    assert np.isnan(stiffness_map(lambda g: creeping, k, [1.0], horizon=1e3).boundary()[0])
+
+
+def test_a_loop_of_slow_roots_only_is_not_stable_on_the_map_either() -> None:
+    found = stiffness_map(lambda g: slider(g), np.geomspace(1e2, 1e6, 41), [1.0], horizon=1 / 300)  # all four roots below 300 1/s on soft walls
+    assert (found.stable[0] == over_stiffness(slider(), found.stiffness, horizon=1 / 300).stable).all()
+    assert np.isnan(found.growth[0, 0]) and found.stable[0, -1] and np.isnan(found.boundary()[0])
