@@ -226,8 +226,8 @@ class ClosedLoop:
     def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
         """Compares linear prediction and nonlinear simulation over ``time`` [s], from the operating point disturbed by ``size`` [rad, m].
 
-        The disturbance is the worst one found: the second-order response of the loop gives the directions in which the linear model fails
-        first, runs with both signs decide among them. It moves each joint by at most ``size``, one of them by ``size``, and each other state
+        The disturbance is the worst one found: from the directions in which the linear model fails first to second order, with both signs, a
+        search climbs the misfit of the nonlinear response; runs decide among what it finds. It moves each joint by at most ``size``, one of them by ``size``, and each other state
         (velocity, integral, filter, actuator) by at most what the linear model makes of a joint error of ``size``.
 
         Args:

@@ -1,7 +1,8 @@
-"""The disturbances that the linear model predicts worst, from the second-order response of the loop.
+"""The disturbances that the linear model predicts worst, from the second-order and then the nonlinear response of the loop.
 
 To second order a disturbance c of size 1 moves the joints by ``first @ c + c @ second @ c``, so the misfit of the linear model grows with
-the size by rms(c @ second @ c) / rms(first @ c). Its largest values over a box of disturbances cost no simulation.
+the size by rms(c @ second @ c) / rms(first @ c). Its largest values over a box of disturbances cost no simulation. At the size of the radius
+higher orders count too: from these maxima a pattern search climbs the misfit of the nonlinear ``response``, many directions at once.
 """
 
 from __future__ import annotations
@@ -16,12 +17,20 @@ from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
+from mfc_analysis.simulation.response import STEPS as STEPS_ALONG, response
 from mfc_analysis.simulation.simulation import Simulation
 
 STEPS, SAMPLES = 100, 25  #: steps of the second-order response, and at how many of them it is compared
 SHIFT = 1e-4  #: of each scaled state, for differences of the Jacobian
 STARTS = 16  #: random starts of the search, beside the singular directions and the joints
-MAXIMA, FLIPS = 2, 2  #: local maxima tried with both signs, and single entries of the first one reversed
+MAXIMA = 2  #: local maxima of the second order that are tried with both signs
+MISFIT = 0.05  #: nrmse up to which the linear model is said to hold
+LARGEST = 3.0  #: [rad, m] largest disturbance tried
+CLIMBED, CLIMBERS = 6, 6  #: maxima of the second order from which the search on the nonlinear response starts, and directions that climb
+PATTERN = (0.7, 0.7, 0.4, 0.4, 0.2, 0.1)  #: changes of the entries in its steps
+TOGETHER = (1, 2, 4, 8)  #: numbers of entries changed together, beside all that gain
+FOLLOWED = 0.75  #: of the starts: those whose response the steps can follow
+WORST = 1.0  #: misfit from which on directions count as equally bad
 NOTHING = 1e-9  #: misfit for each unit of size that is rounding
 FAR = 1e60  #: [rad, m] response beyond which there is no second order
 SAME = 0.98  #: cosine of two directions that count as one
@@ -54,9 +63,9 @@ def scaled_basis(e: Equations, predicted: Array) -> Array:
 
 
 def candidates(e: Equations, base: Simulation, basis: Array, seed: int) -> list[Candidate]:
-    """Directions in the box of the ``basis`` (some joint at 1, no entry beyond 1), the worst to second order first, with both signs.
+    """Directions in the box of the ``basis`` (some joint at 1, no entry beyond 1), the worst of the nonlinear response first.
 
-    Then the first with single entries reversed where this costs least, and the directions that reach a torque limit or leave a surface first.
+    Then the worst to second order with both signs, and the directions that reach a torque limit or leave a surface first.
     """
     n, k = e.n, basis.shape[1]
     rng = np.random.default_rng(seed)
@@ -73,12 +82,48 @@ def candidates(e: Equations, base: Simulation, basis: Array, seed: int) -> list[
         ranked = [(float(np.exp(-found_at)), c) for found_at, c in ranked]
     out = [(reach, sign * c) for reach, c in ranked[:MAXIMA] for sign in (1.0, -1.0)]
     if found is not None:
-        first = ranked[0][1]
-        flipped = first * (1 - 2 * np.eye(k))
-        least = np.argsort(-found.ratios(flipped), kind="stable")
-        out += [(np.inf, sign * flipped[i]) for i in least[:FLIPS] for sign in (1.0, -1.0)]
+        signed = [sign * c for _, c in ranked[:CLIMBED] for sign in (1.0, -1.0)]
+        out = _climbed(e, base, basis, np.array([*signed, *(_on_box(c, n) for c in starts)]), MISFIT * ranked[0][0]) + out
     out += [(np.inf, c) for c in _first_limits(e, base, basis)]
     return [Candidate(basis @ c, reach) for reach, c in out]
+
+
+def _climbed(e: Equations, base: Simulation, basis: Array, starts: Array, size: float) -> list[tuple[float, Array]]:
+    """Directions (k,) with a larger misfit than the best of the ``starts`` (m, k), and the sizes at which it would be 1.
+
+    Pattern search in the box. The misfit is that at the radius of the worst direction so far, from ``size`` on.
+    """
+    k, n, size = basis.shape[1], e.n, min(size, 1.0)
+
+    def misfits(c: Array) -> Array:
+        assert along is not None
+        found = along.misfits(size * c.reshape(-1, k) @ basis.T).reshape(c.shape[:-1])
+        return np.where(np.isnan(found), -1.0, np.minimum(found, WORST))
+
+    for steps in STEPS_ALONG:
+        along = response(e, base, steps)
+        if along is None:
+            return []
+        worst = misfits(starts)
+        if (worst >= 0).mean() >= FOLLOWED:
+            break
+    c = starts[np.argsort(-worst, kind="stable")[: max(2, CLIMBERS * STEPS_ALONG[0] // steps)]]  # the more steps, the fewer directions
+    for step in PATTERN:
+        if worst.max() < NOTHING:
+            return []
+        size = min(size * float(np.clip(MISFIT / worst.max(), 0.3, 3.0)), LARGEST)
+        turn = np.where(c > 0, -1.0, 1.0)  # each entry towards 0
+        reached = misfits(np.concatenate([c[:, None], _inside(c[:, None] + step * turn[:, None] * np.eye(k), n)], axis=1))
+        gain = reached[:, 1:] - reached[:, :1]
+        back = (gain < 0) & (np.abs(c) < 1)  # where that loses, the other way should gain
+        gain, turn = np.where(back, -gain, gain), np.where(back, -turn, turn)
+        rank = np.argsort(np.argsort(-gain, axis=1), axis=1)
+        some = np.stack([(rank < count) & (gain > 0) for count in (*TOGETHER, k)], axis=1)
+        tried = np.concatenate([c[:, None], _inside(c[:, None] + step * some * turn[:, None], n)], axis=1)
+        reached = misfits(tried)
+        best = reached.argmax(axis=1)
+        c, worst = tried[np.arange(len(c)), best], reached[np.arange(len(c)), best]
+    return [(size / float(worst[i]), c[i]) for i in np.argsort(-worst, kind="stable") if worst[i] > 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +227,11 @@ def _on_box(c: Array, joints: int) -> Array:
     """The direction (k,) with the largest joint at 1 or -1 and no entry beyond."""
     size = np.abs(c[:joints]).max()
     return np.clip(c / size, -1.0, 1.0) if size > 1e-6 * np.abs(c).max() else _on_box(c + np.abs(c).max() * (np.arange(c.size) == 0), joints)
+
+
+def _inside(c: Array, joints: int) -> Array:
+    """Directions (..., k) scaled so that the largest joint is at 1 or -1, no entry beyond."""
+    return np.clip(c / np.maximum(np.abs(c[..., :joints]).max(axis=-1, keepdims=True), 1e-300), -1.0, 1.0)
 
 
 def _distinct(found: list[tuple[float, Array]]) -> list[tuple[float, Array]]:

@@ -20,16 +20,14 @@ from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.errors import MfcError, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.simulation.directions import Candidate, candidates, scaled_basis
+from mfc_analysis.simulation.directions import LARGEST, MISFIT, Candidate, candidates, scaled_basis
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
 from mfc_analysis.simulation.run import Outcome, most_evaluations
 from mfc_analysis.simulation.simulation import Simulation, simulate
 
 STEPS = 200
-MISFIT = 0.05  #: nrmse up to which the linear model is said to hold
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
-LARGEST = 3.0  #: [rad, m] largest disturbance tried
 WORK = 2  #: times the evaluations that one run may take, for all runs of a validation
 CLOSE = 0.01  #: relative accuracy of the radius
 LOOSE: dict[str, Any] = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius

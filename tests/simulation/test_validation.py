@@ -75,7 +75,7 @@ POSES = {
 }
 
 
-def loop_on(name, equation):
+def loop_on(name, equation, inverse="euclidean"):
     """9.8, 9.10 with a wrong model, 9.16, or 9.23 on a wall, on an arm of the catalogue in a generic pose."""
     robot, q, L = mfc.robots.load(name), np.array(POSES[name]), mfc.laws
     M, hold = np.diag(robot.mass(q)), mfc.trajectories.Hold(q)
@@ -84,7 +84,7 @@ def loop_on(name, equation):
     if equation == "9.10":
         return mfc.ClosedLoop(robot.with_payload(2.0), L.ComputedTorque(100, 100, 20), hold, controller_model=robot)
     if equation == "9.16":
-        return mfc.ClosedLoop(robot, L.TaskComputedTorque(100, 100, 20, null_damping=5.0 if robot.n > 6 else 0, inverse="euclidean"), hold)
+        return mfc.ClosedLoop(robot, L.TaskComputedTorque(100, 100, 20, null_damping=5.0 if robot.n > 6 else 0, inverse=inverse), hold)
     wall = mfc.Environment(1e4, 50.0, axes="z", preload=20.0)
     return mfc.ClosedLoop(robot, L.DampedForcePI([0, 0, 20, 0, 0, 0], 0.5, 2.0, [60, 60, 60, 5, 5, 5]), hold, environment=wall)
 
@@ -110,6 +110,12 @@ def test_the_radius_is_that_of_the_worst_direction_whatever_the_seed(name, equat
         direction /= np.abs(direction[:n]).max()
         s = 0.9 * found.radius
         assert validation.misfit(shifted(loop, found, direction, s), s * np.array([P @ direction for P in response])) < 0.05
+
+
+def test_higher_orders_count_in_the_worst_direction():
+    """To second order the worst direction of 9.16 has all of joint 2; at the radius 0.7 of it are worse: 0.254 rad by Nelder-Mead on runs
+    against 0.390 rad for the worst to second order."""
+    assert loop_on("panda", "9.16", "dynamic").validate(time=0.05).radius <= 1.02 * 0.2539
 
 
 def test_where_the_second_order_vanishes_the_radius_is_that_of_the_third():
