@@ -100,6 +100,7 @@ def _climbed(e: Equations, base: Simulation, basis: Array, starts: Array, size: 
         found = along.misfits(size * c.reshape(-1, k) @ basis.T).reshape(c.shape[:-1])
         return np.where(np.isnan(found), -1.0, np.minimum(found, WORST))
 
+    worst, steps = np.full(len(starts), -1.0), STEPS_ALONG[0]
     for steps in STEPS_ALONG:
         along = response(e, base, steps)
         if along is None:
@@ -231,7 +232,7 @@ def _on_box(c: Array, joints: int) -> Array:
 
 def _inside(c: Array, joints: int) -> Array:
     """Directions (..., k) scaled so that the largest joint is at 1 or -1, no entry beyond."""
-    return np.clip(c / np.maximum(np.abs(c[..., :joints]).max(axis=-1, keepdims=True), 1e-300), -1.0, 1.0)
+    return np.asarray(np.clip(c / np.maximum(np.abs(c[..., :joints]).max(axis=-1, keepdims=True), 1e-300), -1.0, 1.0))
 
 
 def _distinct(found: list[tuple[float, Array]]) -> list[tuple[float, Array]]:

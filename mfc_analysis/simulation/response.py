@@ -15,7 +15,7 @@ import numpy as np
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.errors import MfcError
-from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.arrays import Array, Bools
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 from mfc_analysis.simulation.simulation import Simulation
 
@@ -43,7 +43,7 @@ class Response:
         """
         q = self.equations.parts["q"].where
         linear, d = starts.copy(), starts.copy()
-        going = np.isfinite(starts).all(axis=1)
+        going = np.asarray(np.isfinite(starts).all(axis=1), bool)
         beyond, corrected, moved = np.zeros(len(starts)), np.zeros(len(starts)), (starts[:, q] ** 2).sum(axis=1)
         r = self._rest(0, d, going)
         for k in range(len(self.Phi)):
@@ -61,7 +61,7 @@ class Response:
         followed = going & (corrected <= ROUGH**2 * beyond)
         return np.where(followed, np.sqrt(beyond / np.maximum(moved, 1e-300)), np.nan)
 
-    def _rest(self, k: int, d: Array, going: Array) -> Array:
+    def _rest(self, k: int, d: Array, going: Bools) -> Array:
         """r (m, nx) at step ``k``; clears ``going`` where the equations cannot be evaluated."""
         out = np.zeros(d.shape)
         some = np.flatnonzero(going)
