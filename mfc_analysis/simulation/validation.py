@@ -29,6 +29,7 @@ from mfc_analysis.simulation.simulation import Simulation, simulate
 STEPS = 200
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
 WORK = 2  #: times the evaluations that one run may take, for all runs of a validation
+REGULAR, LEAST = 0.05, 1e-2  #: agreement of two slopes of a remainder below the solver's error, and the part of that error it exceeds
 CLOSE = 0.01  #: relative accuracy of the radius
 LOOSE: dict[str, Any] = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius
 
@@ -108,7 +109,9 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     if here is None and radius == 0:
         return _nothing(e, time, size, stopped)
     remainders = np.array([np.nan if p is None else float(np.abs(p[0] - p[1]).max()) for p in pairs])
-    order = _order(sizes, remainders, 1e-8 * sizes + ROUNDED * TIGHT["rtol"] * float(np.abs(base.x[:, q]).max()))
+    growth = np.array([1.0 if p is None else max(1.0, float(np.abs(p[0]).max()) / s) for s, p in zip(sizes, pairs, strict=True)])
+    error = 1e-8 * sizes + ROUNDED * (TIGHT["rtol"] * float(np.abs(base.x[:, q]).max()) + TIGHT["atol"])  # an unstable loop makes more of it
+    order = _order(sizes, remainders, growth * error)
     if here is None:
         linear = size * (predicted[:, q] @ direction)
         return Validation(time, size, order, np.inf, radius, direction, sizes, remainders, t, np.full(linear.shape, np.nan), linear, stopped)
@@ -142,10 +145,15 @@ def _predict(e: Equations, base: Simulation, t: Array) -> Array:
 
 
 def _order(sizes: Array, remainders: Array, floor: Array) -> float:
-    """Slope of the remainder; inf where no remainder exceeds ``floor``, the solver's error on a linear loop."""
+    """Slope of the remainder; inf where no remainder exceeds ``floor``, the solver's error on a linear loop.
+
+    Below it a remainder still counts if it shrinks by the same power of 2, 1.5 or more, twice: errors of the solver do not.
+    """
     if not np.isfinite(remainders).all():
         return float("nan")
-    if np.all(remainders <= floor):
+    first, second = np.log2(np.maximum(remainders[:2], 1e-300) / np.maximum(remainders[1:], 1e-300))
+    regular = min(first, second) > 1.5 and abs(first - second) < REGULAR and bool(np.all(remainders > LEAST * floor))
+    if np.all(remainders <= floor) and not regular:
         return float("inf")
     return float(np.log2(remainders[0] / remainders[1] if remainders[2] <= 3 * floor[2] else remainders[1] / remainders[2]))
 

@@ -50,6 +50,21 @@ def test_a_linear_loop_has_no_remainder():
     assert found.nrmse < 1e-6
 
 
+@pytest.mark.parametrize("hardware", [{"delay": 5e-3}, {"sample_time": 1e-2}], ids=str)
+def test_a_linear_loop_that_grows_has_no_remainder_either(hardware):
+    """Gains far too large for the dead time: the solver's error grows with the response, and gave orders of -3.5 and 1.0."""
+    fast = mfc.laws.ComputedTorque(1e6, 1e6, 2e3)
+    found = mfc.ClosedLoop(mfc.robots.slider(), fast, mfc.trajectories.Hold([0.3]), hardware=mfc.Hardware(**hardware)).validate(0.05)
+    assert found.taylor_order == np.inf
+
+
+def test_a_remainder_below_the_error_of_the_solver_that_shrinks_with_the_square_counts():
+    """One joint with lag: gravity is not linear, 4e-10 rad of remainder at 0.01 rad, which was taken for rounding."""
+    law, lag = mfc.laws.ComputedTorque(1e4, 1e4, 200.0), mfc.Hardware(torque_lag=1e-3)
+    found = mfc.ClosedLoop(mfc.robots.single_joint(), law, mfc.trajectories.Hold([0.3]), hardware=lag).validate(0.05)
+    assert abs(found.taylor_order - 2.0) < 0.05
+
+
 def shifted(loop, found, direction, size):
     """The joint deviations of the nonlinear run from a start disturbed by ``size * direction``."""
     rest = loop.linearize([0.0], coordinates="state").point.x[0]
