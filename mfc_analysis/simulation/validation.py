@@ -110,8 +110,8 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
         return _nothing(e, time, size, stopped)
     remainders = np.array([np.nan if p is None else float(np.abs(p[0] - p[1]).max()) for p in pairs])
     growth = np.array([1.0 if p is None else max(1.0, float(np.abs(p[0]).max()) / s) for s, p in zip(sizes, pairs, strict=True)])
-    error = 1e-8 * sizes + ROUNDED * (TIGHT["rtol"] * float(np.abs(base.x[:, q]).max()) + TIGHT["atol"])  # an unstable loop makes more of it
-    order = _order(sizes, remainders, growth * error)
+    error = 1e-8 * growth * sizes + ROUNDED * TIGHT["rtol"] * float(np.abs(base.x[:, q]).max())  # an unstable loop makes more of it
+    order = _order(sizes, remainders, error)
     if here is None:
         linear = size * (predicted[:, q] @ direction)
         return Validation(time, size, order, np.inf, radius, direction, sizes, remainders, t, np.full(linear.shape, np.nan), linear, stopped)

@@ -56,6 +56,8 @@ def test_a_linear_loop_that_grows_has_no_remainder_either(hardware):
     fast = mfc.laws.ComputedTorque(1e6, 1e6, 2e3)
     found = mfc.ClosedLoop(mfc.robots.slider(), fast, mfc.trajectories.Hold([0.3]), hardware=mfc.Hardware(**hardware)).validate(0.05)
     assert found.taylor_order == np.inf
+    joint = mfc.ClosedLoop(mfc.robots.single_joint(), fast, mfc.trajectories.Hold([0.3]), hardware=mfc.Hardware(**hardware)).validate(0.05)
+    assert np.isfinite(joint.taylor_order)  # gravity: not linear
 
 
 def test_a_remainder_below_the_error_of_the_solver_that_shrinks_with_the_square_counts():
