@@ -16,6 +16,7 @@ from mfc_analysis.maths.arrays import Array, Complex, on_axis
 
 CERTAINLY = 1 - 1e-9  #: a direct gain round a dead time from here on has an infinite chain of unstable roots
 BESIDE = np.arange(-16, 17) + 0.5  #: half turns of e^(-sT) beside a place at which an unstable root is sought,
+SAME = 1e-3  #: two places nearer than this over the dead time are one,
 NEWTON = 9  #: and steps, the first three from eigenvalue to eigenvalue
 MOST_GROWTH = 50.0  #: largest growth in one dead time of a root that is sought
 LONGEST = 20.0  #: horizons: the largest dead time that is judged
@@ -84,7 +85,7 @@ def chain(point: Delayed) -> Complex:
     """Approximate unstable roots, rightmost first: s = jw + log(lambda) / T, lambda the eigenvalues of E G, then Newton."""
     T, places = float(point.T.max()), point.places
     even = np.geomspace(0.3 / T, max(1e2 * float(np.abs(places).max()), 3 / T), 160)
-    beside = np.abs(places.imag)[:, None] + np.pi / T * BESIDE
+    beside = _apart(np.abs(places.imag), SAME / T)[:, None] + np.pi / T * BESIDE
     w = np.unique(np.concatenate([even, beside.ravel()])).astype(float)
     w = w[(w >= 0.3 / T) & (w * point.dt < np.pi)]
     with np.errstate(all="ignore"):
@@ -94,6 +95,7 @@ def chain(point: Delayed) -> Complex:
             s = s[np.isfinite(s) & (s.real > -1 / T) & (s.real * T < MOST_GROWTH) & (s.imag > 0)]
             if not s.size:
                 return s
+            s = s[np.unique(np.round(s * T / SAME), return_index=True)[1]]
             if k < 3:
                 found = _eigenvalues(point, s)
                 step = np.asarray(-np.log(found[np.arange(s.size), np.abs(np.log(found)).argmin(axis=1)]) / T, np.complex128)
@@ -103,6 +105,11 @@ def chain(point: Delayed) -> Complex:
     s = s[np.isfinite(s) & (s.real > NARROW * np.abs(s)) & (s.imag > 0) & (np.abs(step) < 1e-3 * s.real)]
     s = s[np.argsort(-s.real)]
     return np.asarray(s[np.concatenate([[True], np.abs(np.diff(s)) > 1e-9 * np.abs(s[1:])])] if s.size else s, np.complex128)
+
+
+def _apart(x: Array, gap: float) -> Array:
+    """Values of x, once where they are the same to within ``gap``."""
+    return np.asarray(np.unique(np.round(x / gap)) * gap)
 
 
 def _eigenvalues(point: Delayed, s: Complex) -> Complex:
