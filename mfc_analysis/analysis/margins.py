@@ -39,7 +39,7 @@ class Worst:
     phase_deg: tuple[float, float, str]
     delay: tuple[float, float, str]  #: [s]
     sensitivity_peak: tuple[float, float, str]
-    unstable: tuple[float, ...]  #: [s] times at which the closed loop is not ``stable``: no metrics there, except where it only drifts
+    unstable: tuple[float, ...]  #: [s] times at which the closed loop is not ``stable``: no metrics there
 
     def __str__(self) -> str:
         if self.unstable and np.isnan(self.phase_deg[0]):
@@ -67,7 +67,7 @@ class Margins:
     times: Array  #: (m,) [s]
     at: str  #: the analysis point
     channels: tuple[str, ...]  #: (n,) names
-    stable: Bools  #: (m,) of the closed loop: the roots that are not slow decay, there are some, and nothing drifts; read this first
+    stable: Bools  #: (m,) the roots that are not slow decay, and there are some; read this and ``drifts`` first
     drifts: Bools  #: (m,) the slow part keeps moving within the horizon; the metrics are those of the other roots
     gain_reduction: Array  #: (m, n) factor; stable for gains in (reduction, increase); 0: for all lower gains
     gain_increase: Array  #: (m, n) factor; inf where no increase destabilises
@@ -164,7 +164,7 @@ def margins(system: OpenSystem, at: str) -> Margins:
     if silent is not None:
         for values in vars(metrics).values():
             values[silent] = np.nan
-    return Margins(system.times, at, ch.names, verdict.stable, verdict.drifts, **vars(metrics))
+    return Margins(system.times, at, ch.names, judged, verdict.drifts, **vars(metrics))
 
 
 Modes = tuple[NDArray[Any], NDArray[Any]]  # eigenvalues (m, nx) and vectors (m, nx, nx)

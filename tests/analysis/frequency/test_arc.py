@@ -106,7 +106,7 @@ def test_a_real_root_that_leaves_the_disc_to_the_right_ends_the_gain_interval(k,
     system = open_system(L)
     expected = -1 / value(L, np.array([RADIUS + 0j]))[0].real
     found = margins(system, "torque")
-    assert found.stable[0] == (k < (a + RADIUS) / a)
+    assert found.stable[0] and found.drifts[0] == (k > 1)
     assert_allclose([found.gain_increase[0, 0], found.increase_frequency[0, 0]], [expected, 0.0], rtol=1e-9, atol=1e-12)
     for factor, expectation in ((0.99, True), (1.01, False)):
         late = scaled(system, factor * expected)
