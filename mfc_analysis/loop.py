@@ -208,7 +208,7 @@ class ClosedLoop:
             actuator: (n,) state of the actuator lag; None: the torque commanded at the start.
             x: (nx,) the full start state; replaces all of these.
             max_evaluations: of the equations of the loop (one of the Jacobian counts as 4, one of the plant under a held command as 1/4);
-                None: 100 000, for tool laws 40 000, divided by 1 + the number of surfaces: about 20 s of work.
+                None: about 10 s of work: 100 000 for a joint law without surfaces, fewer where one evaluation takes longer.
 
         A run that diverges, or that ``max_evaluations`` stops, keeps its results up to then and reports the time (``diverged``, ``outcome``,
         ``message``). Raises BadArgument; Unsupported for a dead time or sample time too short for the times of the run to tell apart.

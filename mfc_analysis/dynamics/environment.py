@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.dual import Dual, Vector, concatenate, matvec, times, value
-from mfc_analysis.maths.se3 import Pose, hat, log3, log_rate, pose_matrix
+from mfc_analysis.maths.dual import Dual, Vector, times, value
+from mfc_analysis.maths.se3 import Jlog3, Jlog3_slope, Pose, hat, log3, pose_matrix, rotation_vector
 from mfc_analysis.robots.primitives import Primitives
 
 STIFFEST = 1e15  #: [N/m, Nm/rad] largest stiffness of a search
@@ -125,73 +125,42 @@ def contact(surfaces: Sequence[Environment], model: Primitives, q: Vector, v: Ve
 
 
 def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tuple[Vector, Vector]:
-    if max(surface.index) < 3:
-        return _press_along(surface, X, V, lose_contact)
+    """F_tip of one surface, and its force in the compliance frame. A moment is power-conjugate to the rotation vector: J^T of its rate J w."""
     assert surface.pose is not None
     Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
-    lead = X.p.shape[:-1]
-    spin = None
-    if X.twist is not None:
-        spin = np.concatenate([np.zeros_like(X.twist[..., :3, :]), X.twist[..., 3:, :]], axis=-2)
-    turn = Pose(Re.T @ X.R, np.zeros((*lead, 3)), spin)  # rotation from the tool to the compliance frame
-    none = np.zeros((*lead, 3))
-    shift: Vector = (X.p - pe) @ Re
-    if X.twist is not None:
-        shift = Dual(value(shift), turn.R @ X.twist[..., :3, :])
-    rotates = any(i > 2 for i in surface.index)
-    angle: Vector = _part(turn.log(), 3, 6) if rotates else none
-    rate = concatenate([_part(turn.adjoint(concatenate([_part(V, 0, 3), none])), 0, 3), none])
-    if rotates:
-        full = concatenate([none, angle])
-        spun = log_rate(full, concatenate([none, _part(V, 3, 6)]))
-        rate = concatenate([_part(rate, 0, 3), _part(spun, 3, 6)])
-    force: Vector = matvec(surface.K, concatenate([shift, angle])) + matvec(surface.B, rate) + surface.f0
-    if lose_contact:
-        force = _push_only(force, surface.index)
-    linear = _part(turn.inverse().adjoint(concatenate([_part(force, 0, 3), none])), 0, 3)
-    moment: Vector = none
-    if rotates:
-        moment = _part(log_rate(-concatenate([none, angle]), concatenate([none, _part(force, 3, 6)])), 3, 6)
-    return concatenate([linear, moment]), force
-
-
-def _press_along(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tuple[Vector, Vector]:
-    """``_press`` for a surface that resists translations only and needs no logarithm."""
-    assert surface.pose is not None
-    Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
-    K, B = surface.K[:3, :3], surface.B[:3, :3]
+    size = 6 if max(surface.index) > 2 else 3  # without rotations no logarithm is needed, and any angle is allowed
+    K, B = surface.K[:size, :size], surface.B[:size, :size]
     C = Re.T @ X.R  # from the tool to the compliance frame
-    v = value(V)[..., :3]
-    shift, rate = (X.p - pe) @ Re, times(C, v)
-    pushes = np.ones(3)
-    f = shift @ K + rate @ B + surface.f0[:3]
+    Ct = np.swapaxes(C, -1, -2)
+    v, w = value(V)[..., :3], value(V)[..., 3:]
+    depth, rate = (X.p - pe) @ Re, times(C, v)
+    angle, J = np.zeros_like(w), np.eye(3)
+    if size == 6:
+        angle = rotation_vector(C)
+        J = Jlog3(angle)
+        depth, rate = np.concatenate([depth, angle], axis=-1), np.concatenate([rate, times(J, w)], axis=-1)
+    f = depth @ K + rate @ B + surface.f0[:size]
+    pushes = np.ones(f.shape)
     if lose_contact:
-        pushes = np.where(f > 0, 1.0, 0.0)
+        pushes[..., list(surface.index)] = f[..., list(surface.index)] > 0
         f = f * pushes
-    g = times(np.swapaxes(C, -1, -2), f)
-    none = np.zeros_like(f)
-    wrench, force = np.concatenate([g, none], axis=-1), np.concatenate([f, none], axis=-1)
+    g, moment = times(Ct, f[..., :3]), times(np.swapaxes(J, -1, -2), f[..., 3:]) if size == 6 else angle
+    wrench, force = np.concatenate([g, moment], axis=-1), np.concatenate([f, np.zeros((*f.shape[:-1], 6 - size))], axis=-1)
     if X.twist is None:
         return wrench, force
     linear, turn = X.twist[..., :3, :], X.twist[..., 3:, :]
-    dv = V.tangent[..., :3, :] if isinstance(V, Dual) else np.zeros_like(linear)
-    df = K @ (C @ linear) + B @ (C @ (dv - hat(v) @ turn))
-    if lose_contact:
-        df = pushes[..., None] * df
-    dg = np.swapaxes(C, -1, -2) @ df + hat(g) @ turn
-    zero = np.zeros_like(df)
-    return Dual(wrench, np.concatenate([dg, zero], axis=-2)), Dual(force, np.concatenate([df, zero], axis=-2))
-
-
-def _part(x: Vector, start: int, stop: int) -> Vector:
-    return x[slice(start, stop)] if isinstance(x, Dual) else np.asarray(x)[..., start:stop]
-
-
-def _push_only(force: Vector, index: tuple[int, ...]) -> Vector:
-    f = value(force)
-    pushes = np.ones(f.shape)
-    pushes[..., list(index)] = f[..., list(index)] > 0
-    return force * pushes
+    dV = V.tangent if isinstance(V, Dual) else np.zeros_like(X.twist)
+    depths, rates = C @ linear, C @ (dV[..., :3, :] - hat(v) @ turn)
+    if size == 6:
+        angles = J @ turn
+        depths = np.concatenate([depths, angles], axis=-2)
+        rates = np.concatenate([rates, J @ dV[..., 3:, :] + Jlog3_slope(angle, w) @ angles], axis=-2)
+    df = pushes[..., None] * (K @ depths + B @ rates)
+    dg, dm = Ct @ df[..., :3, :] + hat(g) @ turn, np.zeros_like(turn)
+    if size == 6:
+        dm = np.swapaxes(J, -1, -2) @ df[..., 3:, :] - Jlog3_slope(-angle, f[..., 3:]) @ angles
+    none = np.zeros((*df.shape[:-2], 6 - size, df.shape[-1]))
+    return Dual(wrench, np.concatenate([dg, dm], axis=-2)), Dual(force, np.concatenate([df, none], axis=-2))
 
 
 def stiffened(surface: Environment, stiffness: float, X: ArrayLike) -> Environment:

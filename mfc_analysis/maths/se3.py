@@ -15,7 +15,7 @@ import numpy as np
 from mfc_analysis.errors import BadArgument, NearPi
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.dual import Dual, Vector, chain, times, value
+from mfc_analysis.maths.dual import Dual, Vector, chain, matvec, times, value
 
 #: (y/2) cot(y/2) = 1 - sum a_k y^(2k): Bernoulli numbers over factorials, k = 1..8
 _A = np.array([1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600, 3617 / 10670622842880000])
@@ -110,6 +110,30 @@ def log3(R: Array) -> Array:
     return np.asarray(axis / np.sinc(theta / np.pi)[..., None], float)
 
 
+def rotation_vector(R: Array) -> Array:
+    """``log3``. Raises ``NearPi`` within 1e-3 rad of pi."""
+    w = log3(R)
+    angle = np.sqrt(np.sum(w * w, axis=-1))
+    if np.any(angle > np.pi - 1e-3):
+        raise NearPi(float(np.max(angle)), index=int(np.argmax(angle)))
+    return w
+
+
+def Jlog3(w: Array) -> Array:
+    """d log3(R exp3(d)) / d d at log3(R) = w: (..., 3) -> (..., 3, 3), I + hat(w) / 2 + c hat(w)^2."""
+    W = hat(w)
+    return np.eye(3) + 0.5 * W + _one_minus_alpha_over_s(np.sum(w * w, axis=-1))[..., None, None] * (W @ W)
+
+
+def Jlog3_slope(w: Array, y: Array) -> Array:
+    """d (Jlog3(w) y) / d w of a constant y: (..., 3), (..., 3) -> (..., 3, 3)."""
+    s = np.sum(w * w, axis=-1)[..., None, None]
+    A, B, dA, dB = _coefficients(s)
+    wy = cross(w, y)
+    turned = cross(w, wy)[..., :, None] * w[..., None, :]
+    return np.asarray(-0.5 * hat(y) - (A - s * B) * (hat(wy) + hat(w) @ hat(y)) + 2 * (dA - B - s * dB) * turned, float)
+
+
 def log6(X: Array) -> Array:
     """Poses (..., 4, 4) -> twists (..., 6), exact for rotation angles below pi."""
     w = log3(X[..., :3, :3])
@@ -129,6 +153,8 @@ def Jlog6(xi: Array) -> Array:
 
 def log_rate(xi: Vector, V: Vector) -> Array | Dual:
     """The rate of log X when X moves with body twist V: Jlog6(xi) V; both arguments plain or dual."""
+    if not isinstance(xi, Dual):
+        return matvec(Jlog6(np.asarray(xi)), V)
     A, B = log_coefficients(xi)
     a1 = bracket(xi, V)
     a2 = bracket(xi, a1)
@@ -148,6 +174,8 @@ def log_coefficients(xi: Vector) -> tuple[Vector, Vector]:
 
 def _one_minus_alpha_over_s(s: Array) -> Array:
     small = s < _SMALL
+    if np.all(small):
+        return np.asarray(np.polyval(_A[::-1], s), float)
     safe = np.where(small, 1.0, s)
     y = np.sqrt(safe)
     return np.where(small, np.polyval(_A[::-1], s), (1 - 0.5 * y / np.tan(0.5 * y)) / safe)
@@ -223,10 +251,8 @@ class Pose:
 
     def log(self) -> Array | Dual:
         """log6 with the exact tangent. Raises ``NearPi`` within 1e-3 rad of pi."""
+        rotation_vector(self.R)
         xi = log6(self.matrix)
-        angle = np.sqrt(np.sum(xi[..., 3:] ** 2, axis=-1))
-        if np.any(angle > np.pi - 1e-3):
-            raise NearPi(float(np.max(angle)), index=int(np.argmax(angle)))
         return xi if self.twist is None else Dual(xi, Jlog6(xi) @ self.twist)
 
 

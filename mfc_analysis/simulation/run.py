@@ -27,7 +27,10 @@ FASTEST = 1e15  #: [1/s of any state] above this rate the solver would not finis
 NO_FORCE = 1e-9  #: [N, Nm] below this force a surface is not in contact
 
 
-MOST = {"joint": 100_000, "tool": 40_000}  #: evaluations of the equations that a run takes at most, without surfaces, by the space of the law
+MOST = 100_000  #: evaluations that a run takes at most for a joint law without surfaces: about 10 s of work
+
+
+COST = {"joint": 1.0, "tool": 5.0, "tool force": 12.0, "push": 1.5, "turn": 3.5}  #: time of an evaluation by the law, and that of each surface
 
 
 JACOBIAN = 4  #: evaluations that take about as long as one of the Jacobian
@@ -40,8 +43,9 @@ CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost, so that no s
 
 
 def most_evaluations(e: Equations) -> int:
-    """The limit of a run for which none is given: about 20 s of work. Each surface takes about as long as the rest of the loop."""
-    return MOST[e.law.space] // (1 + len(e.surfaces))
+    """The limit of a run for which none is given: about 10 s of work, whatever an evaluation of these equations costs."""
+    law = f"{e.law.space}{' force' if e.law.space == 'tool' and e.law.senses_force else ''}"
+    return int(MOST / (COST[law] + sum(COST["push" if max(s.index) < 3 else "turn"] for s in e.surfaces)))
 
 
 class Outcome(Enum):
@@ -94,7 +98,7 @@ class Run:
     path: DenseOutput
     events: list[Event]
     end: float = np.inf  #: [s] where the run is to end
-    most: int = MOST["joint"]  #: evaluations allowed
+    most: int = MOST  #: evaluations allowed
     spent: float = 0.0  #: evaluations so far
     outcome: Outcome = Outcome.FINISHED
     message: str = Outcome.FINISHED.value

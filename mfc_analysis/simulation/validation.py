@@ -28,7 +28,7 @@ from mfc_analysis.simulation.simulation import Simulation, simulate
 
 STEPS = 200
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
-WORK = 2  #: times the evaluations that one run may take, for all runs of a validation
+WORK = 1.5  #: times the evaluations that one run may take, for all runs of a validation
 REGULAR, LEAST = 0.05, 1e-2  #: agreement of two slopes of a remainder below the solver's error, and the part of that error it exceeds
 CLOSE = 0.01  #: relative accuracy of the radius
 LOOSE: dict[str, Any] = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius
@@ -77,7 +77,8 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     predicted, q = _predict(e, base, t), e.parts["q"].where
     if not np.isfinite(predicted).all():
         return _nothing(e, time, size, "the response of the linear model overflows")
-    stopped, left = "", WORK * most_evaluations(e)
+    allowed = int(WORK * most_evaluations(e))
+    stopped, left = "", max(allowed - base.evaluations, 1)
 
     def compare(direction: Array, size: float, options: dict[str, Any]) -> tuple[Array, Array] | None:
         nonlocal stopped, left
@@ -88,7 +89,7 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
             return None
         left = max(left - run.evaluations, 1)
         if run.outcome is Outcome.STOPPED:
-            raise _TooMuch(f"the runs take more than {WORK * most_evaluations(e)} evaluations of the equations; a shorter time= takes fewer")
+            raise _TooMuch(f"the runs take more than {allowed} evaluations of the equations; a shorter time= takes fewer")
         if run.diverged:
             stopped = run.message
             return None

@@ -92,6 +92,16 @@ def test_the_rate_of_the_logarithm_is_differentiated_as_well(angle: float) -> No
         assert_allclose(found.tangent[:, k], num, atol=1e-9 if angle < 3 else 1e-6)
 
 
+@pytest.mark.parametrize("angle", ANGLES)
+def test_the_derivative_of_a_rotation_vector_and_its_own_derivative(angle: float) -> None:
+    w, y, h = with_angle(angle)[3:], np.random.default_rng(3).normal(size=3), 1e-4
+    assert_allclose(se3.Jlog3(w), se3.Jlog6(np.r_[0, 0, 0, w])[3:, 3:], atol=1e-12 * (1 if angle < 3 else 1e3))
+    assert_allclose(se3.rotation_vector(se3.exp3(w)), w, atol=3e-13)
+    steps = ((-2, 1), (-1, -8), (1, 8), (2, -1))
+    num = np.stack([sum(c * se3.Jlog3(w + k * h * e) @ y for k, c in steps) / (12 * h) for e in np.eye(3)], axis=-1)
+    assert_allclose(se3.Jlog3_slope(w, y), num, atol=1e-9 if angle < 3 else 1e-5 * np.abs(num).max())
+
+
 def test_poses_carry_body_twists_through_products_inverses_adjoints_and_logarithms() -> None:
     rng = np.random.default_rng(4)
     A, B, V = se3.exp6(rng.normal(size=(2, 6))), se3.exp6(rng.normal(size=(2, 6)) * 0.5), rng.normal(size=(2, 6))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,10 @@ from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
-from mfc_analysis.simulation.run import FAR, FASTEST, MOST, DenseOutput, Outcome, Run, bounded
+from mfc_analysis.simulation import run
+from mfc_analysis.simulation.run import FAR, FASTEST, DenseOutput, Outcome, Run, bounded, most_evaluations
 from mfc_analysis.trajectories import Hold
-from tests.conftest import moving, plant
+from tests.conftest import arm, moving, plant, regular_pose
 
 # --- contact -----------------------------------------------------------------------------------------------------------------
 
@@ -88,10 +90,41 @@ def test_a_run_stops_at_its_limit_on_work_keeps_what_it_has_and_says_how_far_it_
 
 
 def test_a_run_with_a_dead_time_of_a_microsecond_ends_although_nobody_sets_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(MOST, "joint", 2000)  # 100 000 take about 20 s
+    monkeypatch.setattr(run, "MOST", 2000)  # 100 000 take about 10 s
     loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"), hardware=Hardware(delay=1e-6))
     sim = loop.simulate(1.0)
     assert sim.outcome is Outcome.STOPPED and 1e-4 < sim.end < 1e-2
+
+
+@pytest.mark.parametrize("law", ["joint", "tool", "hybrid"])
+@pytest.mark.parametrize("axes", [(), ("z",), ("rxry", "rz")], ids=str)
+def test_the_limit_on_work_is_the_same_time_whatever_an_evaluation_costs(law: str, axes: tuple[str, ...]) -> None:
+    """Time of the evaluations allowed, in evaluations of a joint law without surfaces: MOST within a factor of three."""
+    q = regular_pose("ur5")
+
+    def loop(law: str, axes: tuple[str, ...]) -> ClosedLoop:
+        walls = [Environment(1e4, 10.0, axes=a) for a in axes]
+        if law == "joint":
+            return ClosedLoop(arm("ur5"), L.ComputedTorque(100.0, None, 20.0), Hold(q), environment=walls or None)
+        given = L.TaskComputedTorque(100.0, None, 20.0, damping=0.05)
+        if law == "hybrid":
+            given = L.HybridMotionForce([0, 0, 10.0, 0, 0, 0], 100.0, None, 20.0, kfp=0.5, kdamp=50.0, constraints=np.eye(6)[[2]])
+        return ClosedLoop(arm("ur5"), given, Hold(q), environment=walls or None)
+
+    def cost(loop: ClosedLoop) -> float:
+        e = loop.equations
+        x = np.r_[q, 0.01 * np.ones(e.nx - 6)]
+        times = []
+        for _ in range(5):
+            start = process_time()
+            for _ in range(20):
+                e.rates(0.0, x)
+            times.append(process_time() - start)
+        return min(times)
+
+    one, other = loop("joint", ()), loop(law, axes)
+    work = most_evaluations(other.equations) * cost(other) / (most_evaluations(one.equations) * cost(one))
+    assert 1 / 3 < work < 3
 
 
 def test_a_disturbance_that_stops_being_a_number_ends_the_run_in_words() -> None:

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 import mfc_analysis as mfc
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.simulation import validation
-from mfc_analysis.simulation.run import MOST
+from mfc_analysis.simulation import run
 
 Q = np.array([0.0, -1.2, 1.5, -0.8, 1.57, 0.3])
 UR5 = mfc.robots.ur5()
@@ -155,7 +155,7 @@ def test_runs_that_take_too_much_work_give_no_figures_and_say_so(monkeypatch):
     """A stiff wall: a radius from runs that were stopped would be the limit's, not the loop's."""
     wall, law = mfc.Environment(1e8, 10.0, preload=5.0), mfc.laws.DampedForcePI([0, 0, 10, 0, 0, 0], 0.2, 0.5, 40.0)
     loop = mfc.ClosedLoop(mfc.robots.slider(1.0, 2.0), law, mfc.trajectories.Hold([0.0]), environment=wall)
-    monkeypatch.setitem(MOST, "joint", 3000)
+    monkeypatch.setattr(run, "MOST", 3000 * 2.5)
     found = loop.validate(0.05)
     assert np.isnan(found.radius) and np.isnan(found.nrmse) and np.isnan(found.direction).all()
     assert "evaluations" in found.message and found.message in str(found)
