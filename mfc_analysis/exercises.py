@@ -31,6 +31,7 @@ QUINTIC_TOP_SPEED = 1.875  #: top speed of a quintic over its mean speed
 SLOWEST, FASTEST = 1e-2, 1e6  #: [deg/s] target velocities
 LONGEST = 1e4  #: [s] of a run
 LARGEST = 1e12  #: [m, N] of exercise 9.4
+MOST = 20_000  #: evaluations of a run: about 2 s
 SETTLED = 0.02  #: settling band, a fraction of the motion
 GRAVITY = 9.81  #: [m/s^2]
 
@@ -189,7 +190,7 @@ def _run(name: str, law: Any, target_deg: float, velocity_deg: float, link: Link
             lin = at_rest.linearize(about="equilibrium")
         except NotConverged:
             rests_at = target
-    simulation = loop.simulate(np.linspace(0.0, moving + duration, 1001), q=[0.0], v=[0.0])
+    simulation = loop.simulate(np.linspace(0.0, moving + duration, 1001), q=[0.0], v=[0.0], max_evaluations=MOST)
     poles = lin.poles()[0]
     poles = poles[np.argsort(-poles.real, kind="stable")]
     stable = bool(lin.stable[0])

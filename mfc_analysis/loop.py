@@ -207,7 +207,8 @@ class ClosedLoop:
             q, v: (n,) start position and velocity. integral: 0, "trimmed" or the integral state. force_integral: likewise, scalar or (6,).
             actuator: (n,) state of the actuator lag; None: the torque commanded at the start.
             x: (nx,) the full start state; replaces all of these.
-            max_evaluations: of the equations of the loop (one of the Jacobian counts as 4, one of the plant under a held command as 1/4);
+            max_evaluations: of the equations of the loop (one of the Jacobian counts as 4, one of the plant under a held command as 1/4,
+                and the time of a solver written in Python is added);
                 None: about 10 s of work: 100 000 for a joint law without surfaces, fewer where one evaluation takes longer.
 
         A run that diverges, or that ``max_evaluations`` stops, keeps its results up to then and reports the time (``diverged``, ``outcome``,

@@ -175,3 +175,12 @@ def test_prompts_on_a_terminal_and_options_give_the_same_answer(number):
     assert by_prompts.endswith(by_options)
     for _, question, _ in QUESTIONS[number]:
         assert f"{question} [" in by_prompts[: -len(by_options)]
+
+
+@pytest.mark.parametrize("gains", [{"kp": 1e30}, {"kp": -1e30}, {"kp": 1e30, "kd": 1e30}, {"kp": 1e12, "kd": 1.0}], ids=str)
+def test_a_run_with_gains_that_no_solver_follows_stops_and_says_how_far_it_came(gains: dict[str, float]) -> None:
+    """Radau took minutes, and for kp = -1e30 repeated one step without end."""
+    for run in (exercises.pid(60.0, velocity_deg=90.0, **gains), exercises.pid_with_inverse_dynamics(60.0, velocity_deg=90.0, **gains)):
+        found = run.simulation
+        assert found.diverged and found.evaluations < 31_000
+        assert f"at t = {found.end:.4g} s" in found.message

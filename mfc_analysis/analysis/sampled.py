@@ -29,6 +29,8 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 
+MOST_STATES = 2100  #: of the discrete model: the eigenvalues of one point take about half a minute
+MOST_ENTRIES = 30_000_000  #: of the A of all points together: with the copies that an analysis makes about 2 GiB
 WHOLE = 1e-9  #: a dead time this close to a whole number of samples counts as whole
 
 
@@ -63,8 +65,8 @@ def sampled(system: OpenSystem, sample_time: float, *, on_wires: bool = False) -
     so that the encoder is not opened in a sampled loop.
 
     Raises ``BadArgument`` for a sample time that is not positive or so long that the plant overflows, ``Unsupported`` where the controller
-    acts on the plant other than through its torque (velocity) wires, where a wire other than these or "force" has dead time, or where the
-    loop is already sampled.
+    acts on the plant other than through its torque (velocity) wires, where a wire other than these or "force" has dead time, where the
+    loop is already sampled, or where the samples in transit make the model too large.
     """
     h = checks.number("sample_time", sample_time, low=0.0, strict=True)
     layout, late = _layout(system, h, on_wires)
@@ -132,6 +134,10 @@ def _layout(system: OpenSystem, h: float, on_wires: bool) -> tuple[_Layout, Arra
     if np.any(depth[~allowed]) or np.any(late[~allowed]):
         raise Unsupported("sample_time", h, f"dead time on the {name} and force wires only")
     registers = int(depth.sum())
+    n, m = nx + registers, len(system.times)
+    if n > MOST_STATES or m * n * n > MOST_ENTRIES:
+        most = min(MOST_STATES, int(np.sqrt(MOST_ENTRIES / m)))
+        raise Unsupported("sample_time", h, f"a model of at most {most} states at {m} times; the samples in transit make {n}. A longer one has fewer")
     first = np.where(depth > 0, nx + np.cumsum(depth) - depth, -1)
     external, wires = nx + registers + np.arange(nu), nx + registers + nu + np.arange(nw)
     return _Layout(plant, control, external, wires, drive, whole, part, first, nx + registers + nu + nw, registers), late

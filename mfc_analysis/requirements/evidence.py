@@ -20,7 +20,7 @@ from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.dynamics.operating_point import nominal
 from mfc_analysis.dynamics.start_state import start_state
-from mfc_analysis.errors import UnknownName, UnknownPoint
+from mfc_analysis.errors import NotConverged, UnknownName, UnknownPoint
 from mfc_analysis.linearization.linearization import linearize
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Complex
@@ -318,7 +318,10 @@ def _left_over(equations: Equations, x: Array, times: Array, v: Array, a: Array)
 def _displacement(A: Array, left: Array, where: slice, horizon: float) -> Array:
     """(n,) |positions| of x' = A x + left from zero: steady, and of the slow part those reached within the horizon."""
     both = parts(A, 1 / horizon)
-    steady = -both.fast_right @ np.linalg.solve(both.fast, both.fast_left @ left) if len(both.fast) else np.zeros(len(A))
+    try:
+        steady = -both.fast_right @ np.linalg.solve(both.fast, both.fast_left @ left) if len(both.fast) else np.zeros(len(A))
+    except np.linalg.LinAlgError as why:
+        raise NotConverged("the steady state of the linear loop has no digits: its coefficients differ by more than 16 decades") from why
     if not both.slow.block.size:
         return np.abs(steady[where])
     push = both.slow.left @ left

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
 
 Disturbance = Callable[[float], Array]
+Guard = Callable[[Callable[[float, Array], Array], float], Callable[[float, Array], Array]]
 
 
 FAR = 1e4  #: [rad, m, rad/s, m/s] above this position or velocity a run has diverged
@@ -33,6 +35,12 @@ MOST = 100_000  #: evaluations that a run takes at most for a joint law without 
 COST = {"joint": 1.0, "tool": 5.0, "tool force": 12.0, "push": 1.5, "turn": 3.5}  #: time of an evaluation by the law, and that of each surface
 
 
+SOLVER = {"LSODA": 0.0, "RK23": 1.0, "RK45": 1.0, "DOP853": 1.0, "Radau": 5.0, "BDF": 5.0}  #: time of the solver itself for each evaluation, likewise
+
+
+STEP = 10_000  #: evaluations beyond the limit after which the step under way has no end
+
+
 JACOBIAN = 4  #: evaluations that take about as long as one of the Jacobian
 
 
@@ -42,10 +50,15 @@ HELD = 0.25  #: evaluations that take about as long as one of the plant alone, u
 CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost, so that no short contact is missed
 
 
+def cost(e: Equations) -> float:
+    """Time of one evaluation, in evaluations of a joint law without surfaces."""
+    law = "tool force" if e.law.space == "tool" and e.law.senses_force else e.law.space
+    return COST[law] + sum(COST["push" if max(s.index) < 3 else "turn"] for s in e.surfaces)
+
+
 def most_evaluations(e: Equations) -> int:
     """The limit of a run for which none is given: about 10 s of work, whatever an evaluation of these equations costs."""
-    law = f"{e.law.space}{' force' if e.law.space == 'tool' and e.law.senses_force else ''}"
-    return int(MOST / (COST[law] + sum(COST["push" if max(s.index) < 3 else "turn"] for s in e.surfaces)))
+    return int(MOST / cost(e))
 
 
 class Outcome(Enum):
@@ -105,6 +118,10 @@ class Run:
     refused: MfcError | None = None
     arrived: Callable[[float], Array] | None = None  #: with dead time or sampling: the command that has reached the joints
 
+    @cached_property
+    def price(self) -> float:
+        return cost(self.equations)
+
     def inputs(self, t: float) -> Inputs:
         return Inputs() if self.disturbance is None else Inputs(disturbance=self.disturbance(t))
 
@@ -135,14 +152,19 @@ class Run:
         if self.one_sided:
             options["max_step"] = CONTACT_STEP
 
-        def solve(f: Callable[[float, Array], Array], options: dict[str, Any]) -> Any:
+        def solve(guard: Guard, options: dict[str, Any]) -> Any:
+            f = guard(rates, cost + SOLVER[options["method"]] / self.price)
             with np.errstate(all="ignore"):
                 return solve_ivp(f, (start, end), x, dense_output=True, events=[self._far(), self._used_up()], **options)
 
         try:
-            found = solve(self._stopping(rates, cost), options)
-        except _Stop:  # perhaps only the trial step is too long: retry with a method that shortens it
-            found = solve(self._or_nan(rates, cost), {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
+            try:
+                found = solve(self._stopping, options)
+            except _Stop:  # perhaps only the trial step is too long: retry with a method that shortens it
+                found = solve(self._or_nan, {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
+        except _Endless:
+            self._give_up(start)
+            return None
         self.events += self._contacts(found)
         self.path.add(float(found.t[-1]), found.sol)
         if found.t_events is not None and found.t_events[1].size:
@@ -160,7 +182,7 @@ class Run:
 
     def _stopping(self, rates: Callable[[float, Array], Array], cost: float) -> Callable[[float, Array], Array]:
         def guarded(t: float, x: Array) -> Array:
-            self.spent += cost
+            self._spend(cost)
             try:
                 return bounded(rates(t, x))
             except MfcError as why:
@@ -171,7 +193,7 @@ class Run:
 
     def _or_nan(self, rates: Callable[[float, Array], Array], cost: float) -> Callable[[float, Array], Array]:
         def guarded(t: float, x: Array) -> Array:
-            self.spent += cost
+            self._spend(cost)
             try:
                 return bounded(rates(t, x))
             except MfcError as why:
@@ -182,10 +204,15 @@ class Run:
 
     def _counted(self, jac: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
         def counted(t: float, x: Array) -> Array:
-            self.spent += JACOBIAN
+            self._spend(JACOBIAN)
             return jac(t, x)
 
         return counted
+
+    def _spend(self, work: float) -> None:
+        self.spent += work
+        if self.spent > self.most + STEP:
+            raise _Endless
 
     def refuse(self, t: float, why: MfcError) -> None:
         """Stops the run where the law cannot be evaluated between two segments."""
@@ -255,6 +282,10 @@ def bounded(rates: Array) -> Array:
     if not np.abs(rates).max() < FASTEST:
         raise BadArgument("the motion", f"rates of {np.abs(rates).max():.3g}", f"state rates below {FASTEST:g}")
     return rates
+
+
+class _Endless(Exception):
+    """The solver repeats one step and never ends it."""
 
 
 class _Stop(Exception):

@@ -8,8 +8,7 @@ from scipy.linalg import expm
 
 import mfc_analysis as mfc
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.simulation import validation
-from mfc_analysis.simulation import run
+from mfc_analysis.simulation import run, validation
 
 Q = np.array([0.0, -1.2, 1.5, -0.8, 1.57, 0.3])
 UR5 = mfc.robots.ur5()
