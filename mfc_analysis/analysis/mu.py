@@ -15,6 +15,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from mfc_analysis.errors import NotConverged
 from mfc_analysis.maths.arrays import Array, Complex
 
 SWEEPS = 4  #: of Osborne's balancing, to within a few percent of the infimum
@@ -50,7 +51,6 @@ def polished_bound(M: Complex, balance: Array) -> tuple[Array, Array]:
     diagonal that attains it, and both bounds are equal.
     """
     upper = np.full(len(M), np.inf)
-    lower = np.zeros(len(M))
     u = v = np.zeros(balance.shape, np.complex128)
     for k in range(POLISH):
         size, u, v = _largest_singular(M, balance)
@@ -58,9 +58,7 @@ def polished_bound(M: Complex, balance: Array) -> tuple[Array, Array]:
         if k < POLISH - 1:
             balance = balance + 0.25 * np.clip(np.log((np.abs(v) + 1e-12) / (np.abs(u) + 1e-12)), -1, 1)
     turned = np.exp(1j * (np.angle(v) - np.angle(u)))[:, :, None] * M
-    if len(M):
-        lower = np.abs(np.linalg.eigvals(turned)).max(axis=-1)
-    return upper, lower
+    return upper, _spectral_radius(turned)
 
 
 def slicot_bound(M: Complex) -> float:
@@ -77,8 +75,10 @@ def largest_bound(M: Complex, use_slicot: bool | None = None) -> tuple[float, in
     """Largest upper bound of mu over (k, n, n), its index, and the lower bound of mu that polishing finds there.
 
     Osborne's bound ranks all matrices. Polishing takes those that can still exceed the best so far, and SLICOT (if ``use_slicot``; None: if
-    installed) those that can exceed it after polishing.
+    installed) those that can exceed it after polishing. Raises ``NotConverged`` where a matrix is not finite.
     """
+    if not np.isfinite(M).all():
+        raise NotConverged("the sensitivity of the loop is not finite at some frequencies: a root lies on the stability boundary to rounding")
     slicot = has_slycot() if use_slicot is None else use_slicot
     bound, balance = osborne_bound(M)
     order = np.argsort(-bound, kind="stable")
@@ -103,8 +103,11 @@ def largest_bound(M: Complex, use_slicot: bool | None = None) -> tuple[float, in
 
 def lower_bound(M: Complex, enough: float = np.inf) -> float:
     """Lower bound of mu of one matrix: rho(Q M) with the phases Q of the power iteration, from a few starts until it is ``enough``."""
-    best = float(np.abs(np.linalg.eigvals(M)).max())
-    U, _, Vh = np.linalg.svd(M)
+    best = float(_spectral_radius(M[None])[0])
+    try:
+        U, _, Vh = np.linalg.svd(M)
+    except np.linalg.LinAlgError:  # LAPACK has not converged
+        return best
     for start in range(min(3, len(M))):
         b, w = Vh[start].conj(), U[:, start]
         for k in range(1, 61):
@@ -113,7 +116,7 @@ def lower_bound(M: Complex, enough: float = np.inf) -> float:
             b = _with_phases(a, w)
             if k % 10 == 0:
                 Q = np.exp(1j * (np.angle(b) - np.angle(M @ b)))
-                best = max(best, float(np.abs(np.linalg.eigvals(Q[:, None] * M)).max()))
+                best = max(best, float(_spectral_radius((Q[:, None] * M)[None])[0]))
                 if best >= enough:
                     return best
     return best
@@ -122,11 +125,27 @@ def lower_bound(M: Complex, enough: float = np.inf) -> float:
 def _largest_singular(M: Complex, balance: Array) -> tuple[Array, Complex, Complex]:
     """Largest singular value of D M D^-1, D = exp(balance), with its vectors: (k,), (k, n), (k, n)."""
     scaled = M * np.exp(balance[:, :, None] - balance[:, None, :])
-    values, vectors = np.linalg.eigh(np.swapaxes(scaled.conj(), -1, -2) @ scaled)
+    try:
+        values, vectors = np.linalg.eigh(np.swapaxes(scaled.conj(), -1, -2) @ scaled)
+    except np.linalg.LinAlgError:  # LAPACK has not converged on one of them: its Frobenius norm is an upper bound as well
+        if len(M) > 1:
+            each = [_largest_singular(M[k : k + 1], balance[k : k + 1]) for k in range(len(M))]
+            size, u, v = (np.concatenate(part) for part in zip(*each, strict=True))
+            return size, u, v
+        one = np.ones(balance.shape, np.complex128) / np.sqrt(M.shape[-1])
+        return np.asarray(np.linalg.norm(scaled, axis=(-2, -1)), float), one, one
     v = vectors[:, :, -1]
     u = (scaled @ v[:, :, None])[:, :, 0]
     size = np.sqrt(np.maximum(values[:, -1], 0.0))
     return size, u / np.maximum(size, 1e-300)[:, None], v
+
+
+def _spectral_radius(M: Complex) -> Array:
+    """(k,) of matrices (k, n, n); 0, a lower bound of mu, where LAPACK does not converge."""
+    try:
+        return np.asarray(np.abs(np.linalg.eigvals(M)).max(axis=-1), float)
+    except np.linalg.LinAlgError:
+        return np.concatenate([_spectral_radius(M[k : k + 1]) for k in range(len(M))]) if len(M) > 1 else np.zeros(1)
 
 
 def _with_phases(size: Complex, phase: Complex) -> Complex:

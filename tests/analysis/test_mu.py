@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mfc_analysis.analysis.mu import has_slycot, largest_bound, lower_bound, osborne_bound, polished_bound, slicot_bound
+from mfc_analysis.errors import NotConverged
 
 needs_slycot = pytest.mark.skipif(not has_slycot(), reason="slycot is not installed")
 
@@ -45,3 +46,26 @@ def test_unitary_channel_phases_do_not_change_mu() -> None:
     scaled = np.diag([1.0, 30.0, 0.02]) @ M @ np.diag([1.0, 1 / 30.0, 50.0])
     for other in (turned, scaled):
         assert largest_bound(other[None])[0] == pytest.approx(largest_bound(M[None])[0], rel=1e-6)
+
+
+def test_where_lapack_does_not_converge_the_bounds_still_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The upper bound is the Frobenius norm of the balanced matrix, its lower bound 0."""
+    rng = np.random.default_rng(1)
+    M = rng.normal(size=(3, 4, 4)) + 1j * rng.normal(size=(3, 4, 4))
+    exact = [lower_bound(x) for x in M]
+
+    def fails(A: np.ndarray) -> None:
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    for name in ("eigh", "eigvals", "svd"):
+        monkeypatch.setattr(np.linalg, name, fails)
+    upper, lower = polished_bound(M, np.zeros((3, 4)))
+    assert np.all(upper >= np.array(exact)) and np.all(lower == 0)
+    assert lower_bound(M[0]) == 0
+    assert largest_bound(M, use_slicot=False)[0] >= max(exact)
+
+
+def test_a_response_that_is_not_finite_is_refused() -> None:
+    M = np.full((1, 2, 2), np.nan, complex)
+    with pytest.raises(NotConverged, match="boundary"):
+        largest_bound(M)

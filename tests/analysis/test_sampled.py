@@ -245,3 +245,15 @@ def test_what_cannot_be_sampled_is_refused() -> None:
         sampled(replace(system, A=leaking), 0.05)
     with pytest.raises(Unsupported, match="dead time"):
         sampled(replace(double_integrator(1.0, 1.0), wire_delay=np.array([0.0, 0.1, 0.0])), 0.05)
+
+
+def test_a_model_too_large_for_the_memory_is_refused():
+    """Three points of six joints with 1500 samples each in transit took 6 GB."""
+    late = loop([[-1.0]], [1.0], [1.0], 0.5, delays=(3.0, 0.0))
+    with pytest.raises(Unsupported, match="at most 2100 states at 1 times; the samples in transit make 3001"):
+        sampled(late, 1e-3)
+    many = replace(late, times=np.zeros(100), **{name: np.repeat(getattr(late, name), 100, axis=0) for name in "ABCD"})
+    with pytest.raises(Unsupported, match="at most 547 states at 100 times; the samples in transit make 601"):
+        sampled(many, 5e-3)
+    assert sampled(late, 5e-3).nx == 601
+    assert sampled(late, 1e-3, on_wires=True).nx == 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mfc_analysis as mfc
-from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.errors import BadArgument, NotConverged, UnknownName
 from mfc_analysis.requirements.evidence import Evidence
 from mfc_analysis.requirements.requirements import Requirements
 from tests.requirements.test_requirements import hold, velocity_p
@@ -96,3 +96,16 @@ def test_the_slowest_root_names_its_joint():
     loop = mfc.ClosedLoop(robot, mfc.laws.VelocityP(gains), hold(6))
     found = Evidence(loop.equations, [0.0]).slowest_root()
     assert found.value == pytest.approx(-1.0, rel=1e-12) and found.where == robot.joint_names[3] and found.note == "real"
+
+
+def test_a_steady_state_without_digits_is_an_error_in_words():
+    """Friction of 1e30 Nms/rad: the fast part of A is singular to rounding."""
+    q = [0.1, -1.0, 1.0, 0.3, 0.4, 0.5]
+    loop = mfc.ClosedLoop(
+        mfc.robots.ur5().with_friction(viscous=1e30, coulomb=0.1),
+        mfc.laws.ComputedTorque(100.0, 10.0, 20.0),
+        mfc.trajectories.Quintic(q, [0.3] * 6, 1.0),
+        hardware=mfc.Hardware(delay=1e-3, torque_lag=2e-3, sample_time=1e-3),
+    )
+    with pytest.raises(NotConverged, match="no digits"):
+        Requirements(phase_deg=30.0).check(loop, [0.0, 0.5, 1.0])

@@ -80,8 +80,10 @@ class Delayed:
         """False where no dead time lies in a loop: the roots are then those of A."""
         size = np.abs(self.places)
         w = np.geomspace(1e-2 * size.min(), min(1e2 * size.max(), np.pi / self.dt if self.dt else np.inf), 40)
-        G = self.response(on_axis(w))[0]
-        return bool(perron(np.abs(G)).max(initial=0.0) >= NO_LOOP * max(1.0, float(np.abs(G).max(initial=0.0))))
+        G = np.abs(self.response(on_axis(w))[0])
+        if not np.linalg.matrix_power(G.any(axis=0).astype(float), len(self.T)).any():  # a chain that no wire closes
+            return False
+        return bool(perron(G).max(initial=0.0) >= NO_LOOP * max(1.0, float(G.max(initial=0.0))))
 
     def z(self, s: Complex) -> tuple[Complex, Complex]:
         """The variable of A at s (k,), and its derivative: s and 1, or z and dz/ds of a sampled loop."""

@@ -45,6 +45,9 @@ def opened(system: OpenSystem, at: str | Sequence[str]) -> Opened:
     return Opened(system, points, tuple(names), np.array(wires), np.array(rates))
 
 
+CHUNK = 4_000_000  #: complex numbers solved for at a time
+
+
 def sensitivity(channels: Opened, index: int, frequencies: Array) -> Complex:
     """S (nf, k, k) at one operating point, at frequencies (nf,) [rad/s]; below pi / dt for a sampled loop."""
     system = channels.system
@@ -54,7 +57,9 @@ def sensitivity(channels: Opened, index: int, frequencies: Array) -> Complex:
     moving = np.flatnonzero(channels.rates >= 0)
     into, out = np.concatenate([channels.wires, channels.rates[moving]]), channels.wires
     if not system.dt and system.wire_delay.any():
-        H = _delayed(A, B, C, D, system.wire_delay, frequencies, into, out)
+        step = max(1, CHUNK // (len(A) + nw) ** 2)
+        some = [frequencies[k : k + step] for k in range(0, frequencies.size, step)]
+        H = np.concatenate([_delayed(A, B, C, D, system.wire_delay, w, into, out) for w in some])
     else:
         through = np.linalg.inv(np.eye(nw) - D) if D.any() else np.eye(nw)
         H = _response(A + B @ through @ C, B @ through[:, into], through[out] @ C, s) + through[np.ix_(out, into)]
@@ -86,7 +91,11 @@ def _response(A: Array, B: Array, C: Array, s: Complex) -> Complex:
         residues = (C @ V).T[:, :, None] * np.linalg.solve(V, B.astype(complex))[:, None, :]
         H = (1 / (s[:, None] - poles)) @ residues.reshape(len(A), -1)
         return np.asarray(H.reshape(s.size, *residues.shape[1:]))
-    return np.asarray(C @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B.astype(complex), (s.size, *B.shape))))
+    H, step = np.empty((s.size, len(C), B.shape[1]), np.complex128), max(1, CHUNK // len(A) ** 2)
+    for k in range(0, s.size, step):
+        matrix = s[k : k + step, None, None] * np.eye(len(A)) - A
+        H[k : k + step] = C @ np.linalg.solve(matrix, np.broadcast_to(B.astype(complex), (len(matrix), *B.shape)))
+    return H
 
 
 def _delayed(A: Array, B: Array, C: Array, D: Array, delay: Array, w: Array, into: Ints, out: Ints) -> Complex:

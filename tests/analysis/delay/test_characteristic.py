@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mfc_analysis.analysis.delay.characteristic import delayed_points, perron
+from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points, perron
 from mfc_analysis.analysis.system import OpenSystem
 from tests.analysis.conftest import open_system, random_loops
 
@@ -118,6 +118,10 @@ def test_dead_time_is_in_a_loop_only_where_its_signal_returns():
     assert delayed_points(open_system(2 / s, delay=0.3))[0].in_a_loop
     outside = replace(open_system(control.tf([1], [1, 3])), wire_delay=np.array([0.2]))
     assert not delayed_points(replace(outside, C=np.zeros_like(outside.C)))[0].in_a_loop
+    into, out, none = np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]]), np.zeros((2, 2))
+    chain = Delayed(np.array([[-3.0]]), into, out, none, np.array([0.2, 0.3]), np.ones(1))  # the first wire drives the second, which ends
+    assert not chain.in_a_loop
+    assert replace(chain, D=np.array([[0.0, 1e-3], [0.0, 0.0]])).in_a_loop
 
 
 def test_perrons_bounds_are_close_from_above(rng):

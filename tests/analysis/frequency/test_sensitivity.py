@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from mfc_analysis.analysis.frequency import sensitivity as module
 from mfc_analysis.analysis.frequency.sensitivity import opened, sensitivity, sensitivity_at_infinity
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, UnknownPoint
@@ -47,6 +48,24 @@ def test_it_is_the_inverse_of_one_plus_the_loop(delay: float, defective: bool) -
         assert_allclose(sensitivity(opened(system, "force"), 0, W)[k], np.linalg.inv(np.eye(2) + at_output), rtol=1e-10, atol=1e-12)
         both = np.block([[np.eye(2), E_in @ K], [-E_out @ P, np.eye(2)]])
         assert_allclose(sensitivity(opened(system, ("torque", "force")), 0, W)[k], np.linalg.inv(both), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.07])
+def test_many_frequencies_are_solved_a_chunk_at_a_time(delay: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one solve gives them; the largest stack of matrices has CHUNK numbers."""
+    system, *_ = loop(3, delay, True)
+    w = np.geomspace(0.1, 100, 50)
+    whole = sensitivity(opened(system, "torque"), 0, w)
+    solve, sizes = np.linalg.solve, []
+
+    def counted(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+        sizes.append(A.size)
+        return solve(A, B)
+
+    monkeypatch.setattr(np.linalg, "solve", counted)
+    monkeypatch.setattr(module, "CHUNK", 320)
+    assert_allclose(sensitivity(opened(system, "torque"), 0, w), whole, rtol=1e-12)
+    assert len(sizes) >= 3 and max(sizes) <= 320
 
 
 def test_at_infinity_only_the_direct_terms_without_dead_time_are_left() -> None:
