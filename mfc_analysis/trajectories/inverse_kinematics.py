@@ -33,7 +33,6 @@ ROUNDING = 1e-10  #: pose error below which a step without improvement means rou
 ITERATIONS = 100  #: Newton iterations at one time
 STEP = 0.08  #: largest joint step [rad or m] between two nodes of a followed path
 JUMP = 1.0  #: joint step [rad or m] above which the solution belongs to another branch
-MOST_NODES = 15_000  #: of a followed path, which take about 10 s
 FINE, COARSE = 60, 24  #: nodes per period or duration of a path: for interpolation, and for the start of Newton
 
 
@@ -169,10 +168,6 @@ class _Follower:
         kept = [t]
         for t0, t1 in pairwise(times):
             inner = np.linspace(t0, t1, self._substeps(nodes[-1], t0, t1, slices) + 1)
-            if len(kept) + inner.size > MOST_NODES:
-                raise NotConverged(
-                    f"the tool path to t = {t1:.4g} s takes more than {MOST_NODES} steps of inverse kinematics; earlier times take fewer"
-                )
             for now in inner[1:, None]:
                 last = nodes[-1]
                 q = self.project(self._advance(last, kept[-1], now), now)

@@ -1,4 +1,4 @@
-"""Soak: 2000 fuzzed inputs to the public functions: a result without silent NaN, or a ValueError of ours; never C++ text.
+"""Soak: 2000 fuzzed inputs to the public functions: a result without silent NaN, or an error of ours; never C++ text; within 20 s and 2 GiB.
 
 Not collected by pytest and not part of CI: ``python tests/soak/fuzz.py [--count 2000] [--seed 0]``. Exit code 1 on any offence.
 """
@@ -6,7 +6,9 @@ Not collected by pytest and not part of CI: ``python tests/soak/fuzz.py [--count
 from __future__ import annotations
 
 import argparse
+import os
 import re
+import subprocess
 import sys
 import time
 import traceback
@@ -17,9 +19,12 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, given, seed, settings, strategies as st
 
 import mfc_analysis as mfc
+from mfc_analysis import exercises
 from mfc_analysis.errors import MfcError
 
 CPP = re.compile(r"Eigen|pinocchio::|boost|std::|C\+\+|\.hpp|\.hxx|Expected:|Assertion")
+LONGEST, LARGEST = 20.0, 2 << 30  #: [s] of processor time of one input; [bytes] of the process of one kind of input
+SLOW = ("walls", "validate", "tool law with dead time", "check")  #: an eighth as many of these
 ARM = mfc.robots.ur5()
 TWO = mfc.robots.planar_2r()
 Q = np.array([0.1, -1.2, 1.4, -0.8, 1.3, 0.2])
@@ -38,11 +43,28 @@ arrays = st.one_of(
 )
 anything = st.one_of(scalars, arrays)
 gain = st.one_of(st.floats(0, 500), st.just(None), anything)
+size = st.floats(-6, 8).map(lambda x: 10.0**x)
+huge = st.sampled_from([0.0, 1.0, 100.0, 1e6, 1e12, 1e30, -1.0, -1e30])
+seconds = st.floats(-6, 1).map(lambda x: 10.0**x)
+walls = st.lists(st.sampled_from(["z", "rz", "rxry", "xyrz", "xyzrxryrz"]), min_size=1, max_size=2)
 
 
 def joints(n: int) -> st.SearchStrategy:
     """Mostly a joint vector that fits."""
     return st.one_of(st.lists(st.floats(-3, 3), min_size=n, max_size=n), anything)
+
+
+def ct(hardware: mfc.Hardware) -> mfc.ClosedLoop:
+    """Six joints under computed torque."""
+    return mfc.ClosedLoop(ARM, mfc.laws.ComputedTorque(100.0, 10.0, 20.0), mfc.trajectories.Hold(Q), hardware=hardware)
+
+
+def pressing(axes: list[str], stiffness: float) -> mfc.ClosedLoop:
+    """Two joints that press on surfaces."""
+    surfaces = [mfc.Environment(stiffness, 10.0, axes=a) for a in axes]
+    return mfc.ClosedLoop(
+        TWO, mfc.laws.DampedForcePI([0, 0, 10, 0, 0, 0], 0.5, 5.0, kdamp=50.0), mfc.trajectories.Hold([0.3, 0.6]), environment=surfaces
+    )
 
 
 CALLS: list[tuple[str, st.SearchStrategy, Callable[..., object]]] = [
@@ -127,6 +149,72 @@ CALLS: list[tuple[str, st.SearchStrategy, Callable[..., object]]] = [
         ),
     ),
     ("hybrid", st.tuples(anything, anything), lambda F, A: mfc.laws.HybridMotionForce(F, 100, None, 20, constraints=A)),
+    (
+        "walls",
+        st.tuples(walls, size, size, st.booleans()),
+        lambda axes, K, B, one: (
+            mfc.ClosedLoop(
+                ARM,
+                mfc.laws.DampedForcePI([0, 0, 10, 0, 0, 0], 0.5, 5.0, kdamp=50.0),
+                mfc.trajectories.Hold(Q),
+                environment=[mfc.Environment(K, B, axes=a, one_sided=one) for a in axes],
+            )
+            .simulate(10.0, 0.01)
+            .q
+        ),
+    ),
+    ("validate", st.tuples(walls, size), lambda axes, K: str(pressing(axes, K).validate(0.5))),
+    (
+        "tool law with dead time",
+        st.tuples(seconds, seconds),
+        lambda delay, lag: (
+            mfc.ClosedLoop(
+                ARM,
+                mfc.laws.TaskComputedTorque(100.0, 10.0, 20.0),
+                mfc.trajectories.ToolHold(ARM.pose(Q)),
+                q_start=Q,
+                hardware=mfc.Hardware(delay=delay, torque_lag=lag),
+            )
+            .simulate(1.0, 0.01)
+            .q
+        ),
+    ),
+    (
+        "sampled",
+        st.tuples(seconds, seconds, st.integers(1, 40)),
+        lambda T, delay, m: ct(mfc.Hardware(sample_time=T, delay=delay)).linearize(np.linspace(0, 1, m)).margins(),
+    ),
+    (
+        "disk",
+        st.tuples(seconds, seconds, st.integers(2, 7000)),
+        lambda T, delay, n: ct(mfc.Hardware(sample_time=T, delay=delay)).linearize([0.0]).disk_margin("torque", np.geomspace(1e-3, 3, n) / T),
+    ),
+    (
+        "delayed disk",
+        st.tuples(seconds, seconds, st.integers(2, 7000)),
+        lambda lag, delay, n: str(ct(mfc.Hardware(torque_lag=lag, delay=delay)).linearize([0.0]).disk_margin("torque", np.geomspace(1e-2, 1e4, n))),
+    ),
+    ("exercise 9.1", st.tuples(huge, huge, huge, st.sampled_from([0.0, 90.0])), lambda p, i, d, v: str(exercises.pid(60.0, p, i, d, v))),
+    (
+        "exercise 9.2",
+        st.tuples(huge, huge, huge, st.sampled_from([0.0, 90.0])),
+        lambda p, i, d, v: str(exercises.pid_with_inverse_dynamics(60.0, p, i, d, v)),
+    ),
+    (
+        "check",
+        st.tuples(huge, huge, seconds),
+        lambda viscous, kp, T: str(
+            mfc.Requirements(phase_deg=30.0, tracking_error=0.1).check(
+                mfc.ClosedLoop(
+                    TWO.with_friction(viscous=viscous),
+                    mfc.laws.ComputedTorque(kp, 10.0, 20.0),
+                    mfc.trajectories.Quintic([0.1, 0.2], [0.5, 0.6], 1.0),
+                    hardware=mfc.Hardware(sample_time=T),
+                ),
+                [0.0, 0.5],
+            )
+        ),
+    ),
     ("gains", st.tuples(scalars, scalars, scalars), lambda b, z, i: mfc.gains.pid(bandwidth=b, damping=z, inertia=i)),
     ("pd", st.tuples(scalars, scalars), lambda c, z: mfc.gains.pd(crossover=c, damping=z)),
     ("force_pi", st.tuples(scalars, scalars, scalars, scalars), lambda b, k, m, T: mfc.gains.force_pi(bandwidth=b, stiffness=k, mass=m, lag=T)),
@@ -151,13 +239,27 @@ def has_nan(x: object) -> bool:
     return False
 
 
+def _alone(name: str, count: int, seed: int) -> bool:
+    """Whether one kind of input, in a process of its own, exceeds the memory or gives another offence."""
+    child = subprocess.Popen([sys.executable, __file__, "--only", name, "--count", str(count), "--seed", str(seed)])
+    _, status, used = os.wait4(child.pid, 0)
+    peak = used.ru_maxrss * 1024
+    sys.stdout.write(f"{name}: peak {peak / 2**30:.2f} GiB\n" if peak <= LARGEST else f"{name}: memory: {peak / 2**30:.2f} GiB\n")
+    sys.stdout.flush()
+    return status != 0 or peak > LARGEST
+
+
 def main() -> int:
-    """Every call in turn, ``--count`` examples in all."""
+    """Every call in turn, each in a process of its own, ``--count`` examples in all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only")
     asked = parser.parse_args()
+    if asked.only is None:
+        each = max(asked.count // len(CALLS), 1) + 1
+        found = [_alone(name, max(each // 8, 2) if name in SLOW else each, asked.seed) for name, _, _ in CALLS]
+        return int(any(found))
     warnings.simplefilter("ignore")
     offences: dict[tuple[str, str], str] = {}
     ran = 0
@@ -167,7 +269,7 @@ def main() -> int:
 
         @seed(asked.seed)
         @settings(
-            max_examples=max(asked.count // len(calls), 1) + 1,
+            max_examples=asked.count,
             deadline=None,
             database=None,
             phases=[Phase.generate],
@@ -178,6 +280,7 @@ def main() -> int:
             nonlocal ran
             name, call = here  # noqa: B023 - called at once, below
             ran += 1
+            start = time.process_time()
             try:
                 out = call(*values)
             except ValueError as why:
@@ -188,6 +291,8 @@ def main() -> int:
             else:
                 if has_nan(out):
                     offences.setdefault((name, "NaN"), f"{values!r}")
+            if (spent := time.process_time() - start) > LONGEST:
+                offences.setdefault((name, "time"), f"{values!r}: {spent:.1f} s")
 
         start = time.perf_counter()
         once()
