@@ -52,7 +52,7 @@ class VelocityP(_JointVelocity):
     def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """u = Kp e."""
         e = ref.q - now.q
-        return Action(self.kp @ e, {}, e)
+        return Action(np.zeros(model.n) + self.kp @ e, {}, e)
 
 
 @define
@@ -82,7 +82,7 @@ class VelocityPI(_JointVelocity):
         """u = Kp e + Ki z (printed: u = Kp e + z)."""
         e = ref.q - now.q
         ki = Gain("ki", 1.0) if self.form == "printed" else self.ki
-        return Action(self.kp @ e + ki @ now["z"], {"z": e} if ki else {}, e)
+        return Action(np.zeros(model.n) + self.kp @ e + ki @ now["z"], {"z": e} if ki else {}, e)
 
 
 @define

@@ -182,6 +182,15 @@ def perron(G: Array) -> Array:
 def _solved(matrix: Complex, right: Complex) -> Complex:
     try:
         return np.asarray(np.linalg.solve(matrix, right), np.complex128)
-    except np.linalg.LinAlgError:  # a few of them are exactly singular
-        tiny = 1e-14 * (np.abs(matrix).max(axis=(1, 2), keepdims=True) + 1e-300)
-        return np.asarray(np.linalg.solve(matrix + tiny * np.eye(matrix.shape[-1]), right), np.complex128)
+    except np.linalg.LinAlgError:  # a few of them are singular to rounding
+        return np.stack([_least_squares(a, b) for a, b in zip(matrix, right, strict=True)])
+
+
+def _least_squares(matrix: Complex, right: Complex) -> Complex:
+    if not np.isfinite(matrix).all():
+        return np.full(right.shape, np.nan, np.complex128)
+    tiny = 1e-14 * (np.abs(matrix).max() + 1e-300)
+    try:
+        return np.asarray(np.linalg.solve(matrix + tiny * np.eye(len(matrix)), right), np.complex128)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(matrix) @ right, np.complex128)

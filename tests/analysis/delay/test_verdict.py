@@ -11,6 +11,7 @@ from hypothesis import assume, given, settings, strategies as st
 from numpy.testing import assert_allclose
 from scipy.special import lambertw
 
+import mfc_analysis as mfc
 from mfc_analysis.analysis.delay.characteristic import delayed_points
 from mfc_analysis.analysis.delay.count import unstable_roots
 from mfc_analysis.analysis.delay.verdict import chain, delayed_verdicts, some_unstable, unstable_count
@@ -112,3 +113,10 @@ def test_the_verdict_equals_that_of_the_sampled_loop_with_whole_samples(seed):
     size = np.abs(np.log(poles[np.abs(poles) > 1e-6]) / dt)
     outside = np.abs(poles[np.abs(poles) > 1e-6][size >= 0.01])
     assert verdict(counted).decays == (outside < 1).all()
+
+
+def test_a_singular_gain_with_a_long_dead_time_has_a_verdict():
+    """Two equal rows of Ki: the loop is singular to rounding; its integral of a double integrator is unstable with any gain, by Routh."""
+    law = mfc.laws.ComputedTorque(0, [[4.037612088991638, 0.7342502514934814]] * 2, 6e-8)
+    loop = mfc.ClosedLoop(mfc.robots.planar_2r(), law, mfc.trajectories.Hold([0.1, 0.2]), hardware=mfc.Hardware(delay=917.4581504594084))
+    assert not loop.linearize([0.0]).stable[0]
