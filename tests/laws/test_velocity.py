@@ -209,7 +209,7 @@ def test_the_pose_error_is_the_logarithm_from_the_tool_to_the_reference() -> Non
     assert_allclose(robot.jacobian(q) @ flow.command, 3.0 * X_e, atol=1e-10)
 
 
-@pytest.mark.parametrize("law", [L.VelocityP(None), L.VelocityPI(None), L.VelocityPI(None, None)], ids=str)
+@pytest.mark.parametrize("law", [L.VelocityP(None), L.VelocityPI(None, None)], ids=str)
 def test_without_any_gain_the_joints_are_integrators(law: L.VelocityP | L.VelocityPI) -> None:
     lin = ClosedLoop(robots.planar_2r(), law, Hold([0.1, 0.2])).linearize([0.0])
     assert_allclose(lin.A, np.zeros((1, 2, 2)))
