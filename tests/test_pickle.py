@@ -37,6 +37,8 @@ WITHIN = {
     "Opened",
     "Orbit",
     "Parts",
+    "Peak",
+    "Piece",
     "Replay",
     "Resolvent",
     "Run",
@@ -45,6 +47,7 @@ WITHIN = {
     "SlowPart",
     "SlowWords",
     "Split",
+    "Taylor",
     "Walk",
 }
 

@@ -14,25 +14,25 @@ Int. J. Control 59 (1994) 189-221.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.analysis.frequency.peak import frequencies_of_interest
 from mfc_analysis.analysis.frequency.sensitivity import Opened, opened, sensitivity, sensitivity_at_infinity
-from mfc_analysis.analysis.mu import has_slycot, largest_bound, lower_bound
-from mfc_analysis.analysis.spectrum import rates, spectrum
+from mfc_analysis.analysis.mu import largest_bound, lower_bound
+from mfc_analysis.analysis.mu_peak import mu_peak
+from mfc_analysis.analysis.spectrum import spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
-from mfc_analysis.maths.arrays import Array, Bools, Complex
+from mfc_analysis.maths.arrays import Array, Bools
 
 EXACT = 1e-6  #: relative gap between the bounds of mu below which alpha counts as exact
-CLIMB = 3  #: parabolic steps that refine the highest frequency of the grid
+CHUNK = 200_000  #: complex numbers of the resolvents at a time
 
 
 class Bound(Enum):
@@ -40,7 +40,7 @@ class Bound(Enum):
 
     EXACT = "exact: the upper bound of mu is attained"
     UPPER = "a guarantee: from the upper bound of mu; the true margin may be slightly larger"
-    BALANCED = "a guarantee: from the balancing bound of mu alone (slycot is not installed); the true margin may be slightly larger"
+    GRID = "on a grid: the smallest of the frequencies computed; between them it may be smaller"
     NONE = "none: the loop is unstable"
     NOTHING = "none: every root is slow, nothing holds the loop within the horizon"
 
@@ -124,29 +124,36 @@ def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayL
     """Disk margins at ``at``, a point or several together, e.g. ("torque", "position"): input and output at once.
 
     Args:
-        frequencies: (nf,) [rad/s] > 0, increasing: mu is computed at these (and at infinity) only. None: from 1/horizon on, at frequencies
-            placed by the poles of each point and refined around the peak.
+        frequencies: (nf,) [rad/s] > 0, increasing: mu is computed at these (and at infinity) only, and ``bound`` is ``GRID``. None: at all
+            frequencies from 1/horizon on. The peak of mu is then certain to 1e-6 (``mu_peak``); if it is not, ``bound`` says ``GRID``.
 
     Dead time is exact. Raises ``UnknownPoint`` where the loop cannot be opened, ``BadArgument`` for other frequencies.
     """
     channels = opened(system, at)
     grid = None if frequencies is None else _frequencies(frequencies, system.dt)
-    known = spectrum(without_idle(system))
+    lean = without_idle(system)
+    known = spectrum(lean)
     verdict = stability(system, known)
     m = len(system.times)
     alpha, where, above = (np.full(m, np.nan) for _ in range(3))
-    placed = None if grid is not None else _placed(system, known.poles)
+    certain = np.ones(m, bool)
+    kept = replace(channels, system=lean)
     for i in np.flatnonzero(verdict.nonzero_stable):
-        mu, where[i], lower = _peak(channels, int(i), grid, None if placed is None else np.unique(placed[i]))
+        if grid is None:
+            peak = mu_peak(kept, int(i), known.rates[i])
+            mu, where[i], lower, certain[i] = peak.value, peak.frequency, peak.lower, peak.certain
+        else:
+            mu, where[i], lower = _on_grid(kept, int(i), grid)
+            certain[i] = False
         alpha[i], above[i] = 1 / mu, 1 / lower
     tight = above - alpha <= EXACT * alpha
     judged = np.isfinite(alpha)
     if not judged.any():
         bound = Bound.NONE if verdict.held.any() else Bound.NOTHING
-    elif tight[judged].all():
-        bound = Bound.EXACT
+    elif not certain.all():
+        bound = Bound.GRID
     else:
-        bound = Bound.UPPER if has_slycot() else Bound.BALANCED
+        bound = Bound.EXACT if tight[judged].all() else Bound.UPPER
     return DiskMargin(system.times, channels.points, channels.names, verdict.stable, verdict.drifts, alpha, where, above, bound)
 
 
@@ -172,55 +179,16 @@ def _frequencies(given: ArrayLike, dt: float) -> Array:
     return out
 
 
-def _placed(system: OpenSystem, poles: Complex) -> Array:
-    """Frequencies (m, nf) that resolve every resonance of the closed loop, and the dead times."""
-    s = rates(poles, system.dt)
-    s = np.where(np.isfinite(s), s, -1.0 / system.dt if system.dt else -1.0)
-    found = frequencies_of_interest(s, system.radius)
-    if system.dt:
-        return np.minimum(found, np.pi / system.dt)
-    longest = float(system.wire_delay.max(initial=0.0))
-    if longest:
-        more = np.broadcast_to(np.linspace(0.05, 4.0, 80) * np.pi / longest, (len(found), 80))
-        return np.sort(np.concatenate([found, more], axis=1), axis=1)
-    return found
-
-
-def _peak(channels: Opened, index: int, grid: Array | None, placed: Array | None) -> tuple[float, float, float]:
-    """Largest upper bound of mu(S - I/2), its frequency, and a lower bound there; infinity included."""
-    half = 0.5 * np.eye(channels.wires.size)
-
-    def over(w: Array) -> tuple[float, float, float]:
-        mu, k, lower = largest_bound(sensitivity(channels, index, w) - half)
-        return mu, float(w[k]), lower
-
-    w = grid if grid is not None else placed
-    assert w is not None
-    best = over(w)
-    if grid is None:
-        best = _climbed(over, best, w)
-    far, _, lower = largest_bound((sensitivity_at_infinity(channels, index) - half)[None])
-    if far >= best[0] * (1 - 1e-12):
-        return far, np.inf if not channels.system.dt else float(np.pi / channels.system.dt), lower
-    mu, where, lower = best
+def _on_grid(channels: Opened, index: int, grid: Array) -> tuple[float, float, float]:
+    """Largest upper bound of mu(S - I/2) on the grid and at infinity, its frequency, and a lower bound there."""
+    system, half = channels.system, 0.5 * np.eye(channels.wires.size)
+    step = max(1, CHUNK // (system.nx + system.nw) ** 2)
+    found = [(*largest_bound(sensitivity(channels, index, w) - half), w) for w in (grid[k : k + step] for k in range(0, grid.size, step))]
+    mu, k, lower, w = max(found, key=lambda one: one[0])
+    far = sensitivity_at_infinity(channels, index) - half
+    size, _, attained = largest_bound(far[None])
+    if size >= mu * (1 - 1e-12):
+        return size, np.inf if not system.dt else float(np.pi / system.dt), attained
     if lower < mu * (1 - EXACT / 2):
-        lower = max(lower, lower_bound(sensitivity(channels, index, np.array([where]))[0] - half, mu * (1 - EXACT / 2)))
-    return mu, where, min(lower, mu)
-
-
-def _climbed(over: Callable[[Array], tuple[float, float, float]], best: tuple[float, float, float], w: Array) -> tuple[float, float, float]:
-    """From the highest of the frequencies w to the nearby peak, by parabolic interpolation."""
-    k = int(np.searchsorted(w, best[1]))
-    low, high = float(w[max(k - 1, 0)]), float(w[min(k + 1, w.size - 1)])
-    seen = [over(np.array([(low + best[1]) / 2])), best, over(np.array([(best[1] + high) / 2]))]
-    for _ in range(CLIMB):
-        seen.sort(key=lambda found: -found[0])
-        (y0, x0, _), (y1, x1, _), (y2, x2, _) = seen[:3]
-        bend = (y1 - y0) * (x2 - x0) - (y2 - y0) * (x1 - x0)
-        if bend == 0:
-            break
-        top = x0 + ((y1 - y0) * (x2 - x0) ** 2 - (y2 - y0) * (x1 - x0) ** 2) / (2 * bend)
-        if not low < top < high or abs(top - x0) < 1e-5 * (high - low):
-            break
-        seen.append(over(np.array([top])))
-    return max(seen, key=lambda found: found[0])
+        lower = max(lower, lower_bound(sensitivity(channels, index, w[k : k + 1])[0] - half, mu * (1 - EXACT / 2)))
+    return mu, float(w[k]), min(lower, mu)

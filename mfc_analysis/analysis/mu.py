@@ -2,16 +2,14 @@ r"""Structured singular value of a complex matrix for independent complex scalar
 
 .. math:: \max_{Q\ \text{unitary diagonal}} \rho(Q M) = \mu(M) \le \inf_{D} \bar\sigma(D M D^{-1})
 
-The infimum equals mu for up to three scalars. Osborne's balancing gives a nearby D in closed form, for all matrices at once;
-SLICOT's AB13MD finds the infimum, one matrix at a time.
+The infimum equals mu for up to three scalars, and the logarithm of the singular value is convex in log D. Osborne's balancing gives a nearby D
+in closed form; Newton's method on Schatten norms of rising order finds the infimum. Both work on all matrices at once.
 
 Sources: Packard & Doyle, "The complex structured singular value", Automatica 29 (1993) 71-109; Osborne, "On pre-conditioning of
-matrices", J. ACM 7 (1960) 338-345; Fan, Tits & Doyle, IEEE Trans. Automatic Control 36 (1991) 25-38 (AB13MD).
+matrices", J. ACM 7 (1960) 338-345; Sezginer & Overton, IEEE Trans. Automatic Control 35 (1990) 1287-1293 (convexity).
 """
 
 from __future__ import annotations
-
-from importlib.util import find_spec
 
 import numpy as np
 
@@ -19,15 +17,14 @@ from mfc_analysis.errors import NotConverged
 from mfc_analysis.maths.arrays import Array, Complex
 
 SWEEPS = 4  #: of Osborne's balancing, to within a few percent of the infimum
-POLISH = 14  #: polishing iterations; where the largest singular value is simple, each gains half a digit
+POLISH = 30  #: most Newton steps
+FIRST, LAST, GROWTH = 2.0, 1e6, 2.0  #: p of the Schatten norm at first and at last, and its factor from step to step
+SHARP = 64.0  #: p from which on a bound that is not the largest is not polished further
+LEVEL = 1e-6  #: difference of the squared moduli of the two vectors at which the balance is best
+LONGEST = 2.0  #: step of log D
 AT_ONCE = 8  #: matrices polished together
 CLOSE = 1e-8  #: relative difference below which two bounds are equal
 TINY = 1e-14  #: the balancing treats entries below this fraction of the largest as zero
-
-
-def has_slycot() -> bool:
-    """Whether SLICOT's bound is available (there is no wheel for Macs with Intel processors)."""
-    return find_spec("slycot") is not None
 
 
 def osborne_bound(M: Complex) -> tuple[Array, Array]:
@@ -41,63 +38,118 @@ def osborne_bound(M: Complex) -> tuple[Array, Array]:
             column = (P[:, :, i] * squared).sum(axis=-1) - P[:, i, i] * squared[:, i]
             squared[:, i] = np.sqrt((np.maximum(column, 0) + floor) / (np.maximum(row, 0) + floor))
     balance = np.log(squared) / 2
-    return _largest_singular(M, balance)[0], balance
+    return _singular(M, balance)[0][:, -1], balance
 
 
-def polished_bound(M: Complex, balance: Array) -> tuple[Array, Array]:
-    """Smaller upper bounds (k,) and lower bounds (k,) of mu, from a nearby balance (k, n).
+def polished_bound(M: Complex, balance: Array, enough: float = 0.0) -> tuple[Array, Array, Array]:
+    """Smallest upper bounds (k,) of mu with their balance (k, n), and lower bounds (k,), from a nearby balance.
 
-    Where the largest singular value is simple, the best D makes the moduli of its two vectors equal. Their phases then give the
-    diagonal that attains it, and both bounds are equal.
+    A bound that falls below ``enough`` (>= 0) is not the smallest but a good one.
+
+    The Schatten norm tr((M^H M)^p)^(1/2p) of D M D^-1 is smooth and convex in log D, and the largest singular value as p rises: Newton steps on
+    it, p doubled after each. Where the largest singular value is simple, at the best D the moduli of its two vectors are equal; their phases
+    then give the diagonal that attains it, and both bounds are equal.
     """
-    upper = np.full(len(M), np.inf)
-    u = v = np.zeros(balance.shape, np.complex128)
-    for k in range(POLISH):
-        size, u, v = _largest_singular(M, balance)
-        upper = np.minimum(upper, size)
-        if k < POLISH - 1:
-            balance = balance + 0.25 * np.clip(np.log((np.abs(v) + 1e-12) / (np.abs(u) + 1e-12)), -1, 1)
-    turned = np.exp(1j * (np.angle(v) - np.angle(u)))[:, :, None] * M
-    return upper, _spectral_radius(turned)
+    upper, best = np.full(len(M), np.inf), balance.copy()
+    size = np.full(len(M), np.inf)
+    p, step, old = np.full(len(M), FIRST), np.zeros(balance.shape), balance.copy()
+    todo = np.arange(len(M))
+    for _ in range(POLISH):
+        new = old[todo] + step[todo]
+        values, U, V, scaled = _singular(M[todo], new)
+        better = values[:, -1] < upper[todo]
+        upper[todo], best[todo] = np.where(better, values[:, -1], upper[todo]), np.where(better[:, None], new, best[todo])
+        u, v = U[..., -1], V[..., -1]
+        level = (np.abs(np.abs(u) ** 2 - np.abs(v) ** 2).max(axis=1) <= LEVEL) | (upper[todo] <= np.where(p[todo] >= SHARP, enough, 0.0))
+        down = _schatten(values, p[todo]) <= size[todo] * (1 + 1e-12)
+        level |= down & (p[todo] == LAST)
+        down &= ~level
+        kept = todo[down]
+        old[kept] = new[down]
+        p[kept] = np.minimum(GROWTH * p[kept], LAST)
+        size[kept] = _schatten(values[down], p[kept])
+        if kept.size:
+            step[kept] = _newton_step(values[down], U[down], V[down], scaled[down], p[kept])
+        step[todo[~down]] /= 4
+        todo = todo[~level]
+        if not todo.size:
+            break
+    _, U, V, _ = _singular(M, best)
+    turned = np.exp(1j * (np.angle(V[..., -1]) - np.angle(U[..., -1])))[:, :, None] * M
+    return upper, best, np.minimum(_spectral_radius(turned), upper)
 
 
-def slicot_bound(M: Complex) -> float:
-    """Upper bound of mu of one (n, n) matrix by AB13MD; exact for n <= 3."""
-    from slycot import ab13md
-
-    n = M.shape[0]
-    if not M.any():
-        return 0.0
-    return float(ab13md(M, np.ones(n, int), np.full(n, 2))[0])
+def _schatten(values: Array, p: Array) -> Array:
+    """Schatten norms (k,) of order 2p, p (k,), from the singular values (k, n)."""
+    top = values[:, -1]
+    ratio = (values / np.maximum(top, 1e-300)[:, None]) ** (2 * p[:, None])
+    return np.asarray(top * ratio.sum(axis=1) ** (0.5 / p))
 
 
-def largest_bound(M: Complex, use_slicot: bool | None = None) -> tuple[float, int, float]:
+def _newton_step(values: Array, U: Complex, V: Complex, scaled: Complex, p: Array) -> Array:
+    """Newton's step (k, n) of log D for the logarithm of the Schatten norm of order 2p.
+
+    With H = M^H M of the scaled matrix and its eigenvalues l: first and second derivatives of tr(H^p) by divided differences of p l^(p - 1).
+    """
+    k, n = values.shape
+    top = np.maximum(values[:, -1], 1e-300)
+    q = np.maximum(values / top[:, None], 1e-6)
+    l, p = q * q, p[:, None]
+    power = l**p
+    total, weight = power.sum(axis=1), p * power / l
+    a, b = l[:, :, None], l[:, None, :]
+    with np.errstate(all="ignore"):
+        mean, gap = (a + b) / 2, a - b
+        near = np.abs(gap) <= 1e-6 / p[..., None] * mean
+        divided = np.where(near, (p * (p - 1))[..., None] * mean ** (p[..., None] - 2), (weight[:, :, None] - weight[:, None, :]) / gap)
+    # derivative of H by log D_i in the basis V
+    uu = U.conj()[:, :, :, None] * U[:, :, None, :] * (2 * q[:, :, None] * q[:, None, :])[:, None]
+    X = uu - V.conj()[:, :, :, None] * V[:, :, None, :] * (a + b)[:, None]
+    g = (np.diagonal(X.real, axis1=2, axis2=3) * weight[:, None]).sum(axis=2) / total[:, None]
+    flat = (X * np.sqrt(np.maximum(divided, 0.0))[:, None]).reshape(k, n, n * n)
+    bend = (flat @ np.swapaxes(flat.conj(), 1, 2)).real
+    S = scaled / top[:, None, None]
+    P = (V * weight[:, None, :]) @ np.swapaxes(V.conj(), 1, 2)
+    H, SP = np.swapaxes(S.conj(), 1, 2) @ S, S @ P
+    cross = (SP * S.conj()).real
+    bend += 2 * (H * np.swapaxes(P, 1, 2)).real - 4 * (cross + np.swapaxes(cross, 1, 2))
+    bend[:, range(n), range(n)] += 2 * (H * np.swapaxes(P, 1, 2)).sum(axis=2).real + 4 * cross.sum(axis=2)
+    bend = bend / total[:, None, None] - g[:, :, None] * g[:, None, :]
+    ridge = 1e-9 * np.trace(bend, axis1=1, axis2=2) + 1e-12
+    step = -np.linalg.solve(bend + np.abs(ridge)[:, None, None] * np.eye(n) + 1.0 / n, g[:, :, None])[..., 0]
+    return np.asarray(step * np.minimum(1, LONGEST / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None])
+
+
+def largest_bound(M: Complex) -> tuple[float, int, float]:
     """Largest upper bound of mu over (k, n, n), its index, and the lower bound of mu that polishing finds there.
 
-    Osborne's bound ranks all matrices. Polishing takes those that can still exceed the best so far, and SLICOT (if ``use_slicot``; None: if
-    installed) those that can exceed it after polishing. Raises ``NotConverged`` where a matrix is not finite.
+    Raises ``NotConverged`` where a matrix is not finite.
     """
     if not np.isfinite(M).all():
         raise NotConverged("the sensitivity of the loop is not finite at some frequencies: a root lies on the stability boundary to rounding")
-    slicot = has_slycot() if use_slicot is None else use_slicot
     bound, balance = osborne_bound(M)
+    return raised(M, bound, balance)
+
+
+def raised(M: Complex, bound: Array, balance: Array, above: float = -1.0) -> tuple[float, int, float]:
+    """Largest upper bound of mu over (k, n, n) that exceeds ``above``, its index (-1: none does), and the lower bound that polishing finds there.
+
+    ``bound`` (k,) with its ``balance`` (k, n) ranks all matrices. Those that can still exceed the largest so far are polished, and both replaced.
+    """
+    best, where, attained = above, -1, 0.0
     order = np.argsort(-bound, kind="stable")
     if M.shape[-1] == 1:
-        return float(bound[order[0]]), int(order[0]), float(bound[order[0]])
-    best, where, attained = -1.0, 0, 0.0
+        top = float(bound[order[0]])
+        return (top, int(order[0]), top) if top > above else (above, -1, 0.0)
     for start in range(0, order.size, AT_ONCE):
         some = order[start : start + AT_ONCE]
         some = some[bound[some] > best * (1 + CLOSE)]
         if not some.size:
             break
-        upper, lower = polished_bound(M[some], balance[some])
-        for j in np.argsort(-upper, kind="stable"):
-            if upper[j] <= best * (1 + CLOSE):
-                break
-            wins = slicot and upper[j] > lower[j] * (1 + CLOSE)  # where both bounds are equal no better bound exists
-            found = min(slicot_bound(M[some[j]]), float(upper[j])) if wins else float(upper[j])
-            if found > best:
-                best, where, attained = found, int(some[j]), float(lower[j])
+        bound[some], balance[some], lower = polished_bound(M[some], balance[some], max(best, 0.0))
+        top = int(bound[some].argmax())
+        if bound[some[top]] > best:
+            best, where, attained = float(bound[some[top]]), int(some[top]), float(lower[top])
     return best, where, min(attained, best)
 
 
@@ -122,22 +174,21 @@ def lower_bound(M: Complex, enough: float = np.inf) -> float:
     return best
 
 
-def _largest_singular(M: Complex, balance: Array) -> tuple[Array, Complex, Complex]:
-    """Largest singular value of D M D^-1, D = exp(balance), with its vectors: (k,), (k, n), (k, n)."""
+def _singular(M: Complex, balance: Array) -> tuple[Array, Complex, Complex, Complex]:
+    """Singular values of D M D^-1, D = exp(balance), smallest first (k, n), left and right vectors as columns (k, n, n), and the matrix."""
     scaled = M * np.exp(balance[:, :, None] - balance[:, None, :])
     try:
-        values, vectors = np.linalg.eigh(np.swapaxes(scaled.conj(), -1, -2) @ scaled)
+        values, V = np.linalg.eigh(np.swapaxes(scaled.conj(), -1, -2) @ scaled)
     except np.linalg.LinAlgError:  # LAPACK has not converged on one of them: its Frobenius norm is an upper bound as well
         if len(M) > 1:
-            each = [_largest_singular(M[k : k + 1], balance[k : k + 1]) for k in range(len(M))]
-            size, u, v = (np.concatenate(part) for part in zip(*each, strict=True))
-            return size, u, v
-        one = np.ones(balance.shape, np.complex128) / np.sqrt(M.shape[-1])
-        return np.asarray(np.linalg.norm(scaled, axis=(-2, -1)), float), one, one
-    v = vectors[:, :, -1]
-    u = (scaled @ v[:, :, None])[:, :, 0]
-    size = np.sqrt(np.maximum(values[:, -1], 0.0))
-    return size, u / np.maximum(size, 1e-300)[:, None], v
+            each = [_singular(M[k : k + 1], balance[k : k + 1]) for k in range(len(M))]
+            sizes, left, right, all_ = (np.concatenate(part) for part in zip(*each, strict=True))
+            return sizes, left, right, all_
+        even = np.full(M.shape, 1 / np.sqrt(M.shape[-1]), np.complex128)
+        return np.full(balance.shape, float(np.linalg.norm(scaled))), even, even, scaled
+    size = np.sqrt(np.maximum(values, 0.0))
+    U = (scaled @ V) / np.maximum(size, 1e-6 * size[:, -1:] + 1e-300)[:, None, :]
+    return size, U, V, scaled
 
 
 def _spectral_radius(M: Complex) -> Array:

@@ -29,6 +29,8 @@ from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
 MOST = 40_000  #: frequencies at one point
+NEAR, CLIMBED = 0.7, 3  #: a local maximum of at least this fraction of the highest is refined, and this many of them
+FLAT = 1e-9  #: relative difference of two sizes below which they count as equal
 TURN = 0.2  #: [rad] phase of e^(-jwT) between two frequencies
 
 
@@ -201,14 +203,9 @@ def _crossings(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, A
 def _peaks(point: _Point, w: Array, H: Complex, peak: Array, where: Array) -> tuple[Array, Array]:
     """The largest |S| of each channel on w, refined at its three highest frequencies, where it exceeds ``peak``."""
     size = np.abs(1 + H)
-    low, high = np.pad(size, ((0, 0), (1, 0)))[:, :-1], np.pad(size, ((0, 0), (0, 1)))[:, 1:]
-    k = np.argsort(np.where((size >= low) & (size >= high), -size, 0.0), axis=1)[:, :3]
-    channel = np.repeat(np.arange(len(H)), k.shape[1])
-    k = k.ravel()
-    a, b = w[np.maximum(k - 1, 0)], w[np.minimum(k + 1, w.size - 1)]
-    best, at = size[channel, k], w[k]
-    worth = (best > 0.7 * np.maximum(peak, size.max(axis=1))[channel]) & (k > 0) & (k < w.size - 1)
-    channel, a, b, best, at = channel[worth], a[worth], b[worth], best[worth], at[worth]
+    found_at = [(c, *one) for c in range(len(size)) for one in _brackets(size[c], NEAR * max(float(peak[c]), float(size[c].max())))]
+    channel, k, low, high = (np.array([one[i] for one in found_at], np.int64) for i in range(4))
+    a, b, best, at = w[low], w[high], size[channel, k], w[k]
     inner = np.linspace(0, 1, 9)
     for _ in range(7):
         x = a[:, None] + (b - a)[:, None] * inner
@@ -223,6 +220,25 @@ def _peaks(point: _Point, w: Array, H: Complex, peak: Array, where: Array) -> tu
         if value > peak[c]:
             peak[c], where[c] = value, place
     return peak, where
+
+
+def _brackets(size: Array, least: float) -> list[tuple[int, int, int]]:
+    """The highest local maxima (index, and those of their bracket) of at least ``least``; a bracket reaches to where the size has really fallen.
+
+    Frequencies that nearly coincide have sizes that differ by rounding only: one maximum, not several.
+    """
+    inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:]) & (size[1:-1] > least)
+    tops = 1 + np.flatnonzero(inner)
+    out: list[tuple[int, int, int]] = []
+    for k in tops[np.argsort(-size[tops], kind="stable")].tolist():
+        if any(low < k < high for _, low, high in out):
+            continue
+        fallen = np.flatnonzero(size < size[k] * (1 - FLAT))
+        right = int(np.searchsorted(fallen, k))
+        out.append((k, int(fallen[right - 1]) if right else 0, int(fallen[right]) if right < fallen.size else size.size - 1))
+        if len(out) == CLIMBED:
+            break
+    return out
 
 
 def _joined(parts: list[tuple[Ints, Array, Complex]]) -> Crossings:

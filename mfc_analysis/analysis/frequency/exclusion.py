@@ -44,7 +44,7 @@ def crossover_intervals(found: Resolvent, w: Array, H: Complex) -> tuple[Interva
     f = H.real + 0.5
     weight = np.abs(found.residues)
     failed = np.asarray(~np.isfinite(f).all(axis=2), bool)
-    bend = weight @ _inverse_cubes(found.poles, w[:, :-1], w[:, 1:])
+    bend = weight @ inverse_cubes(found.poles, w[:, :-1], w[:, 1:])
     open_ = ~_empty(f[..., :-1], f[..., 1:], (w[:, 1:] - w[:, :-1])[:, None], bend)
     point, channel, k = np.nonzero(open_ & ~failed[..., None])
     first = Intervals(point, channel, w[point, k], w[point, k + 1], f[point, channel, k], f[point, channel, k + 1])
@@ -73,7 +73,7 @@ def _halved(found: Resolvent, weight: Array, done: list[Intervals], todo: Interv
                 Intervals(todo.point, todo.channel, middle, todo.b, fm, todo.fb),
             ]
         )
-        cubes = _inverse_cubes(found.poles[both.point], both.a[:, None], both.b[:, None])[..., 0]
+        cubes = inverse_cubes(found.poles[both.point], both.a[:, None], both.b[:, None])[..., 0]
         bend = (weight[both.point, both.channel] * cubes).sum(axis=1)
         some = ~_empty(both.fa, both.fb, both.b - both.a, bend)
         both, bend = both[some], bend[some]
@@ -107,7 +107,7 @@ def _f(found: Resolvent, point: Ints, channel: Ints, w: Array) -> Array:
     return np.asarray(found.at(point, channel, w)[0].real + 0.5)
 
 
-def _inverse_cubes(poles: Complex, a: Array, b: Array) -> Array:
+def inverse_cubes(poles: Complex, a: Array, b: Array) -> Array:
     """1/d^3 (m, nx, k) of poles (m, nx) from the segments j[a, b], (m, k) each."""
     height = poles.imag[:, :, None]
     away = np.maximum(np.maximum(a[:, None, :] - height, height - b[:, None, :]), 0.0)

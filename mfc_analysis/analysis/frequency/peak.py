@@ -1,14 +1,17 @@
 """The sensitivity peak: the supremum of |S_i| over all frequencies, zero and infinity included.
 
 S_i has the poles of the closed loop. It is smooth between frequencies placed by these poles, a fraction of their damping apart.
-The highest values on this grid are refined to the peak.
+The highest values on this grid are refined to the peak. Where the modes are known, every interval in which |S_i| could still be larger is
+then searched, so that no peak between the frequencies is missed.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from mfc_analysis.analysis.frequency.exclusion import inverse_cubes
 from mfc_analysis.analysis.frequency.resolvent import Resolvent
+from mfc_analysis.analysis.frequency.taylor import NODES, left_over, over_cells, pole_terms
 from mfc_analysis.maths.arrays import Array, Complex, Ints
 
 AT = np.array([-2.5, -1.0, 0.0, 1.0, 2.5])  #: frequencies around a pole, in units of its decay rate,
@@ -17,6 +20,8 @@ BESIDE = np.array([0.3, 0.6, 1.0, 1.7, 3.5])  #: frequencies around a real pole,
 LADDER = 20  #: frequencies with logarithmic spacing from the slowest to the fastest pole
 CLIMBED = 3  #: local maxima refined in each channel,
 NEAR = 0.7  #: if they are at least this fraction of the highest
+CERTAIN = 1e-5  #: relative: between the frequencies no |S| is larger than the peak by this
+WAVES = 50  #: most divisions of an interval
 
 
 def frequencies_of_interest(poles: Complex, lowest: float) -> Array:
@@ -60,21 +65,69 @@ def sensitivity_peak(found: Resolvent, w: Array, H: Complex) -> tuple[Array, Arr
     top &= size > NEAR * best[..., None]
     ranked = np.argsort(np.where(top, -size, 0.0), axis=2)[..., :CLIMBED]
     point, channel, rank = np.nonzero(np.take_along_axis(top, ranked, 2))
-    value, where = _climbed(found, w, point, channel, ranked[point, channel, rank])
+    k = ranked[point, channel, rank]
+    value, where = _climbed(found, w[point, k - 1], w[point, k], w[point, k + 1], point, channel)
     peak, at = np.zeros(best.shape), np.full(best.shape, np.inf)
     order = np.argsort(value, kind="stable")  # of several values the last one written, the highest, stays
     peak[point[order], channel[order]], at[point[order], channel[order]] = value[order], where[order]
+    grid = np.argmax(size, axis=2)
+    higher = best > peak
+    peak, at = np.where(higher, best, peak), np.where(higher, np.take_along_axis(w, grid, 1), at)
     for end, frequency in zip(ends, (w[:, :1], np.full((1, 1), np.inf)), strict=True):
         better = end >= peak * (1 - 1e-12)
         peak, at = np.where(better, end, peak), np.where(better, frequency, at)
+    _search(found, w, 1 + H, peak, at)
     return peak, at
 
 
-def _climbed(found: Resolvent, w: Array, point: Ints, channel: Ints, k: Ints) -> tuple[Array, Array]:
-    """Peak of |S| between the neighbours of w[point, k]: secant steps on d|S|^2/dw, safeguarded by bisection on its sign."""
-    last = w.shape[1] - 1
-    a, b = w[point, np.maximum(k - 1, 0)], w[point, np.minimum(k + 1, last)]
-    x = w[point, k]
+def _search(found: Resolvent, w: Array, S: Complex, peak: Array, at: Array) -> None:
+    """Raises ``peak`` and its frequency ``at`` (m, n) in place where S exceeds it by more than ``CERTAIN`` between the frequencies w.
+
+    Of the points with modes. Intervals in which it cannot are excluded: at first by the deviation from the chord, then by Taylor polynomials
+    (``taylor``). The others are divided.
+    """
+    modal = np.asarray(np.flatnonzero(found.modal), np.int64)
+    size = np.abs(S[modal])
+    h = np.diff(w[modal], axis=1)
+    bend = np.abs(found.residues[modal]) @ inverse_cubes(found.poles[modal], w[modal, :-1], w[modal, 1:])
+    over = np.maximum(size[..., 1:], size[..., :-1]) + (h * h)[:, None] / 4 * bend > peak[modal, :, None] * (1 + CERTAIN)
+    point, channel, k = np.nonzero(over & (h > 0)[:, None])
+    point = modal[point]
+    c, r = (w[point, k + 1] + w[point, k]) / 2, (w[point, k + 1] - w[point, k]) / 2
+    raised = np.zeros(peak.shape)  # half the width of the interval
+    for _ in range(WAVES):
+        if not c.size:
+            break
+        residues, poles = found.residues[point, channel], found.poles[point]
+        one, two, three, four = pole_terms(poles, c[:, None], r[:, None])
+        value, slope, curve = (
+            1 + found.ch.H0[point, channel] + (one * residues).sum(axis=1),
+            (two * residues).sum(axis=1),
+            (three * residues).sum(axis=1),
+        )
+        rest = (four * np.abs(residues)).sum(axis=1)
+        height = np.abs(value)
+        order = np.argsort(height, kind="stable")
+        order = order[height[order] > peak[point[order], channel[order]] * (1 + CERTAIN)]
+        some = point[order], channel[order]
+        peak[some], at[some], raised[some] = height[order], c[order], r[order]
+        x = r[:, None] * np.linspace(-1, 1, NODES + 1)
+        nodes = np.abs(value[:, None] + x * slope[:, None] + x * x / 2 * curve[:, None])
+        left, right = left_over(over_cells(nodes, np.abs(curve), rest, r) > peak[point, channel, None] * (1 + CERTAIN))
+        a, b = (c - r)[:, None] + r[:, None] * (2 / NODES) * left, (c - r)[:, None] + r[:, None] * (2 / NODES) * right
+        row, side = np.nonzero((right > left) & (b > a))
+        c, r = ((a + b) / 2)[row, side], ((b - a) / 2)[row, side]
+        point, channel = point[row], channel[row]
+    point, channel = np.nonzero(raised)
+    if point.size:
+        x, r = at[point, channel], raised[point, channel]
+        value, where = _climbed(found, x - r, x, x + r, point, channel)
+        better = value > peak[point, channel]
+        peak[point[better], channel[better]], at[point[better], channel[better]] = value[better], where[better]
+
+
+def _climbed(found: Resolvent, a: Array, x: Array, b: Array, point: Ints, channel: Ints) -> tuple[Array, Array]:
+    """Peak of |S| in [a, b] from x on, (k,) each: secant steps on d|S|^2/dw, safeguarded by bisection on its sign."""
     H, slope = found.at(point, channel, x)
     value, where = np.abs(1 + H), x.copy()
     old_x, old_g = x, (np.conj(1 + H) * slope).real

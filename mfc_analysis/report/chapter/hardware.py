@@ -192,7 +192,7 @@ def delay_section() -> Section:
 def disk_section() -> Section:
     """One loop at a time, all loops at once, and inputs and outputs together."""
     lin = loaded().linearize()
-    one, all_, both = lin.margins("torque"), lin.disk_margin("torque"), lin.disk_margin(("torque", "position"), np.geomspace(1.0, 100.0, 60))
+    one, all_, both = lin.margins("torque"), lin.disk_margin("torque"), lin.disk_margin(("torque", "position"))
     a, b = float(all_.alpha[0]), float(both.alpha[0])
     finding = (
         f"With one torque varied at a time, the loop tolerates {written(float(one.phase_deg.min()))}° of phase; with all six at once, "

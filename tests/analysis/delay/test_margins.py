@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import mfc_analysis as mfc
 from mfc_analysis.analysis.frequency.response import frequency_response
 from mfc_analysis.analysis.margins import margins
 from mfc_analysis.analysis.stability import stability
 from tests.analysis.conftest import open_system, random_loops, scaled
+from tests.soak.disk import sensitivities
 
 s = control.tf("s")
 
@@ -121,3 +123,13 @@ def test_a_pair_that_leaves_the_disc_to_the_right_ends_the_gain_interval():
     assert_allclose(root**2 - 2 * d * root + gain * w**2 * 3 / (root + 3) * np.exp(-0.5 * root), 0, atol=1e-12)
     assert stable(scaled(system, 0.99 * gain)) and not stable(scaled(system, 1.01 * gain))
     assert_allclose(margins(replace(system, horizon=1e3), "torque").gain_increase, np.nan)  # the pair is not slow then
+
+
+@pytest.mark.parametrize("q", [(0.04, 1.35), (1.33, 0.03), (0.92, 0.92)])
+def test_coinciding_poles_do_not_hide_the_sensitivity_peak(q):
+    # the poles of both joints coincide up to rounding, and so do frequencies that they place; the peak lies beside them
+    law = mfc.laws.ComputedTorque(31.27, 17.49, 2.842)
+    loop = mfc.ClosedLoop(mfc.robots.planar_2r(), law, mfc.trajectories.Hold(q), hardware=mfc.Hardware(delay=1.608e-3))
+    system = loop.linearize([0.0]).opened
+    S = sensitivities(system, "torque", np.linspace(1, 20, 20_001))
+    assert_allclose(margins(system, "torque").sensitivity_peak[0], np.abs(S[:, [0, 1], [0, 1]]).max(axis=0), rtol=1e-6)

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
+from mfc_analysis.analysis.channels import channels
+from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, sensitivity_peak, thinned
+from mfc_analysis.analysis.frequency.resolvent import resolvent
 from mfc_analysis.analysis.margins import margins
 from tests.analysis.conftest import open_system
 
@@ -53,3 +55,15 @@ def test_a_pole_on_the_lowest_frequency_leaves_the_others_their_frequencies():
     poles = np.array([[0.0, -1e-3 + 20j, -1e-3 - 20j, -3.0]])
     few = thinned(frequencies_of_interest(poles, 0.0), poles)[0]
     assert (np.abs(few - 20) < 5e-3).sum() >= 5 and few.size > 20
+
+
+@pytest.mark.parametrize("w", [np.array([[0.01, 1.0, 100.0, 1e4]]), np.array([[0.01, *[3.0] * 6, 3000.0, 1e6]])])
+def test_a_narrow_peak_between_the_frequencies_is_not_missed(w):
+    # the higher of two resonances, 0.1 % damped, at 200 rad/s: no frequency near it, or only a repeated one at its left
+    L = control.tf(1.0 / (s + 1)) + 0.02 * s / (s**2 + 0.01 * s + 25) - 0.03 * s / (s**2 + 0.05 * s + 4e4)
+    found = resolvent(channels(open_system(L), "torque"))
+    peak, at = sensitivity_peak(found, w, found.on(w))
+    fine = np.linspace(199, 201, 400_001)
+    S = np.abs(1 / (1 + L(1j * fine)))
+    assert_allclose(peak, S.max(), rtol=1e-8)
+    assert_allclose(at, fine[S.argmax()], rtol=1e-7)
