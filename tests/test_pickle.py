@@ -24,6 +24,7 @@ ROOMS = ("analysis", "gains", "linearization", "simulation", "requirements", "de
 #: what lives only while something is computed
 WITHIN = {
     "Bracket",
+    "Response",
     "Candidate",
     "Channels",
     "Crossings",

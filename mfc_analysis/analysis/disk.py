@@ -58,7 +58,7 @@ class DiskMargin:
     times: Array  #: (m,) [s]
     at: tuple[str, ...]  #: the analysis points opened together
     channels: tuple[str, ...]  #: (k,) names
-    stable: Bools  #: (m,) of the closed loop: the roots that are not slow decay, there are some, and nothing drifts; read this first
+    stable: Bools  #: (m,) the roots that are not slow decay, and there are some; read this and ``drifts`` first
     drifts: Bools  #: (m,) the slow part keeps moving within the horizon; alpha is that of the other roots
     alpha: Array  #: (m,) guaranteed disk size, 0..2
     frequency: Array  #: (m,) [rad/s] where the disk is tightest; inf: nowhere below 2
@@ -154,7 +154,7 @@ def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayL
         bound = Bound.GRID
     else:
         bound = Bound.EXACT if tight[judged].all() else Bound.UPPER
-    return DiskMargin(system.times, channels.points, channels.names, verdict.stable, verdict.drifts, alpha, where, above, bound)
+    return DiskMargin(system.times, channels.points, channels.names, verdict.nonzero_stable, verdict.drifts, alpha, where, above, bound)
 
 
 def singular_values(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayLike) -> SingularValues:

@@ -114,6 +114,8 @@ class HybridMotionForce(ToolLaw):
     def _split(self, model: Primitives, q: Vector, c: Vector, f: Vector, minus: Vector) -> Vector:
         """P Lambda c + (1 - P) f - Lambda minus."""
         A = self.rows
+        if len(A) == 6:  # P = 0: no motion is left to control
+            return f if isinstance(minus, float) else f - model.task_mass(q, minus)
         if self.projection == "selection":
             S = A.T @ A
             if isinstance(minus, float):

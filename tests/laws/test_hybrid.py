@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from mfc_analysis import laws as L
 from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.constraints import peg_in_hole, projection, selection
 from mfc_analysis.laws.hybrid import HybridMotionForce
@@ -183,3 +184,17 @@ def test_other_wrong_arguments_are_refused_by_name(given: dict, argument: str) -
 def test_fewer_than_six_joints_have_no_lambda() -> None:
     with pytest.raises(BadArgument, match="six joints"):
         ClosedLoop(arm("planar_2r"), L.HybridMotionForce(PUSH, 100.0, constraints=Z), Hold([0.1, 0.2]))
+
+
+@pytest.mark.parametrize("rows", [np.eye(6), np.eye(6) + 0.3 * np.triu(np.ones((6, 6)))])
+def test_where_all_six_directions_carry_force_no_motion_gain_acts_and_nothing_is_trimmed_into_rounding(rows: np.ndarray) -> None:
+    q = regular_pose("ur5")
+    stiff = Environment(5e7, pose=arm("ur5").pose(q), axes="z", preload=10.0)
+    found = []
+    for kp in (0.0, 2e4):
+        law = HybridMotionForce(PUSH, kp=kp, ki=5e4, kd=300.0, kfp=1.0, kfi=10.0, kdamp=50.0, constraints=rows)
+        lin = ClosedLoop(arm("ur5"), law, Hold(q), environment=stiff, hardware=Hardware(torque_lag=2e-3)).linearize()
+        assert np.abs(lin.point.x).max() < 1e3  # z is 0
+        assert (lin.margins().stable == lin.stability.nonzero_stable).all()
+        found.append(np.sort_complex(lin.poles()[0]))
+    assert_allclose(found[0], found[1], rtol=1e-6, atol=1e-4)
