@@ -25,6 +25,10 @@ ROOMS = ("analysis", "gains", "linearization", "simulation", "requirements", "de
 WITHIN = {
     "Bracket",
     "Response",
+    "Mode",
+    "Piece",
+    "Point",
+    "Term",
     "Candidate",
     "Channels",
     "Crossings",
@@ -39,7 +43,6 @@ WITHIN = {
     "Orbit",
     "Parts",
     "Peak",
-    "Piece",
     "Replay",
     "Resolvent",
     "Run",

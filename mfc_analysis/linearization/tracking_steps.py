@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mfc_analysis.analysis.steps import step
+from mfc_analysis.analysis.steps import point_of
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.laws.law import TWIST, WRENCH
 from mfc_analysis.maths.arrays import Array
@@ -38,9 +38,11 @@ def step_metrics(lin: Linearization) -> StepMetrics:
     system, pairs = followed(lin)
     m, k = len(lin.times), len(pairs)
     settling, overshoot = np.full((m, k), np.nan), np.full((m, k), np.nan)
-    for j, (source, target, _) in enumerate(pairs):
-        for i in range(m):
-            found = step(system, i, source, target)
+    numbers = [(system.input_names.index(source), system.output_names.index(target)) for source, target, _ in pairs]
+    for i in range(m):
+        point = point_of(system, i)
+        for j, (into, out) in enumerate(numbers):
+            found = point.step(into, out)
             settling[i, j], overshoot[i, j] = found.settling, found.overshoot
             if found.steady_state == 0.0:
                 settling[i, j] = np.nan

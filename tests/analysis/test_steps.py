@@ -9,12 +9,14 @@ import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.steps import Outcome, step
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.errors import BadArgument, UnknownName
 from tests.analysis.conftest import open_system, random_loops
+from tests.soak.steps import wrong
 
 s = control.tf("s")
 
@@ -155,3 +157,35 @@ def test_unknown_names_and_bad_numbers_are_refused():
             step(system, 0, "d", "y", duration=bad)
     with pytest.raises(BadArgument, match="index"):
         step(system, 7, "d", "y")
+
+
+@pytest.mark.parametrize(("kp", "ki"), [(10.0, 1.5), (1.0, 0.001), (5.0, 0.25)])
+def test_an_overshoot_that_comes_long_after_settling_is_found(kp, ki):
+    """PI velocity control: 1 - y = (p1 exp(-p1 t) - p2 exp(-p2 t)) / (p1 - p2), largest overshoot at 2 ln(p2 / p1) / (p2 - p1)."""
+    p1, p2 = np.sort(-np.roots([1, kp, ki]).real)
+    t = 2 * np.log(p2 / p1) / (p2 - p1)
+    found = step(open_system((kp * s + ki) / s**2), 0, "d", "y")
+    assert_allclose(found.overshoot, (p2 * np.exp(-p2 * t) - p1 * np.exp(-p1 * t)) / (p1 - p2), rtol=1e-6)
+    assert_allclose(found.peak_time, t, rtol=1e-6)
+
+
+def test_the_peak_of_a_monotone_response_is_its_final_value():
+    found = step(open_system(4 / s), 0, "d", "y")
+    assert found.peak == pytest.approx(1.0, rel=1e-12) and np.isinf(found.peak_time)
+
+
+def test_a_slow_root_that_decays_counts_and_where_it_keeps_the_response_outside_the_band_it_ramps():
+    """1 / (1 + s / 0.005) beside a fast mode: settled in 4 s where it moves half a percent, not within the horizon where it moves half."""
+    for part, outcome in ((0.005, Outcome.SETTLES), (0.5, Outcome.RAMPS)):
+        L = (1 - part) * 1 / (s + 1) + part * 0.005 / (s + 0.005)
+        found = step(open_system(control.tf(control.minreal(L / (1 - L), verbose=False))), 0, "d", "y")
+        assert found.outcome is outcome
+        if outcome is Outcome.SETTLES:
+            settled = brentq(lambda t, p=part: (1 - p) * np.exp(-t) + p * np.exp(-0.005 * t) - 0.02, 1, 10)
+            assert_allclose([found.steady_state, found.settling], [1.0, settled], rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_metrics_are_those_of_the_modal_sum_in_extended_precision(seed):
+    said, _ = wrong(seed)
+    assert said == ""

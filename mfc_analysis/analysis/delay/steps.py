@@ -12,25 +12,27 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mfc_analysis.analysis.step_run import Run
+from mfc_analysis.analysis.step_run import Piece
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths.arrays import Array
 
 FINEST = 60  #: steps in the shortest dead time
 MOST_STEPS = 1_000_000
+#: cubic on 0..1 from y, h y' at its start and at its end
+CUBIC = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-3, -2, 3, -1], [2, 1, -2, 1]])
 
 
-def delayed_runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], Run]:
+def delayed_runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], Piece]:
     """The run (duration, samples) of a unit step from input number ``into`` to output number ``out``, for a system with one point."""
     late = system.wire_delay > 0
     A, B, C, D = (x[0] for x in close_wires(system, keep=late))
     T = system.wire_delay[late]
-    fastest = float(np.abs(np.linalg.eigvals(close_wires(system)[0][0])).max(initial=0.0))
+    longest = longest_step(system)
     nu, ny = system.nu, system.ny
 
-    def run(duration: float, samples: int) -> Run:
-        wanted = min(duration / samples, max(0.05 / max(fastest, 1e-300), T.min() / FINEST))
+    def run(duration: float, samples: int) -> Piece:
+        wanted = min(duration / samples, longest)
         h = T.min() / np.ceil(T.min() / wanted * (1 - 1e-12))
         steps = int(np.ceil(duration / h * (1 - 1e-12)))
         if steps > MOST_STEPS:
@@ -39,9 +41,15 @@ def delayed_runner(system: OpenSystem, into: int, out: int) -> Callable[[float, 
         columns = np.concatenate([nu + np.arange(T.size), [into]])
         table = _one_step(A, B[:, columns], C[wire_rows], D[np.ix_(wire_rows, columns)], h)
         y = _marched(table, len(A), T, h, steps)
-        return Run(h * np.arange(steps + 1), np.append(y[:, 0], y[-1, 2]), np.append(y[:, 1], y[-1, 3]), lambda k, d: _cubic(y[k], h, d))
+        return Piece(h * np.arange(steps + 1), y * [1.0, h, 1.0, h] @ CUBIC.T)
 
     return run
+
+
+def longest_step(system: OpenSystem) -> float:
+    """[s] by the fastest time constant and the shortest dead time of a system with one point."""
+    fastest = float(np.abs(np.linalg.eigvals(close_wires(system)[0][0])).max(initial=0.0))
+    return max(0.05 / max(fastest, 1e-300), float(system.wire_delay[system.wire_delay > 0].min()) / FINEST)
 
 
 def _one_step(A: Array, B: Array, C: Array, D: Array, h: float) -> Array:
@@ -106,8 +114,3 @@ def _shifted(f: float, h: float) -> tuple[Array, Array]:
     slope = np.array([(-6 * f + 6 * f**2) / h, 1 - 4 * f + 3 * f**2, (6 * f - 6 * f**2) / h, 3 * f**2 - 2 * f])
     zero = np.zeros(4)
     return np.stack([value, slope, zero, zero]), np.stack([zero, zero, value, slope])
-
-
-def _cubic(ends: Array, h: float, ahead: float) -> tuple[float, float]:
-    first, _ = _shifted(max(ahead / h, 1e-300), h)
-    return float(first[0] @ ends), float(first[1] @ ends)
