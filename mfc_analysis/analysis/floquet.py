@@ -195,7 +195,7 @@ def shoot(advance: PeriodMap, x0: Array, tolerance: float = 1e-10, iterations: i
         goal = tolerance * (1 + float(np.linalg.norm(x)))
         if size <= goal:
             return Orbit(np.asarray(x, float), np.array(Phi), count, size)
-        if not np.isfinite(size) or count == iterations:
+        if not (np.isfinite(size) and np.isfinite(Phi).all()) or count == iterations:
             break
         step = np.linalg.lstsq(np.eye(x.size) - Phi, end - x, rcond=1e-11)[0]
         for fraction in (1.0, 0.5, 0.25, 0.125, 0.0625, 0.01):

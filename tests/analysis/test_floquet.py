@@ -169,3 +169,8 @@ def test_growth_beyond_all_numbers_is_refused_without_a_warning() -> None:
             transition_magnus(A * np.nan, 1.0)
         with pytest.raises(BadArgument, match="A_nodes"):
             transition_magnus(A * 1e200, 1e200)
+
+
+def test_a_map_without_a_finite_jacobian_is_no_orbit() -> None:
+    with pytest.raises(NotConverged, match="no periodic orbit"):
+        shoot(lambda x: (x + 1.0, np.full((2, 2), np.nan)), np.zeros(2))

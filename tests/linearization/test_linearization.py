@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import mfc_analysis as mfc
 from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
@@ -209,3 +210,11 @@ def test_the_plant_input_loop_of_an_exact_model_is_not_the_pids() -> None:
     I, b, g = 0.5, 0.1, -0.981 * np.sin(0.4)
     torque = (I * pid * s**2 - (b * s + g)) / (I * s**2 + b * s + g)  # h^ feeds b v + g q back through the plant
     assert_allclose(lin.frequency_response(W, "torque")[0, 0], torque, rtol=1e-9)
+
+
+def test_at_a_pole_of_the_other_loops_a_response_is_not_finite_and_raises_nothing() -> None:
+    arm = mfc.robots.planar_2r()
+    lin = mfc.ClosedLoop(arm, mfc.laws.VelocityPI([0.0, 3.0], 100.0), mfc.trajectories.Hold([0.1, 0.2])).linearize()  # joint 0: s^2 + 100
+    found = lin.frequency_response([1.0, 10.0, 30.0])[0]
+    assert np.isfinite(found[:, [0, 2]]).all()
+    assert_allclose(found[0], -100.0 / np.array([1.0, 10.0, 30.0]) ** 2, rtol=1e-12)  # L = ki / s^2 of joint 0 itself

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from mfc_analysis.analysis.channels import has_rate, point_wires
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.maths.arrays import Array, Complex
+from mfc_analysis.maths.arrays import Complex
 from mfc_analysis.maths.checks import vector
 
 CHUNK = 2_000_000  #: complex numbers solved for at a time
@@ -52,19 +52,18 @@ def wire_response(system: OpenSystem, index: int, s: Complex) -> Complex:
     step = max(1, CHUNK // max(1, nx * nx))
     for k in range(0, s.size, step):
         matrix = s[k : k + step, None, None] * np.eye(nx) - A
-        try:
-            x = np.linalg.solve(matrix, np.broadcast_to(B.astype(complex), (len(matrix), *B.shape)))
-        except np.linalg.LinAlgError:
-            x = np.stack([_solved(one, B) for one in matrix])
-        G[k : k + step] = C @ x + D
+        G[k : k + step] = C @ _solved(matrix, np.broadcast_to(B.astype(complex), (len(matrix), *B.shape))) + D
     return G
 
 
-def _solved(matrix: Complex, B: Array) -> Complex:
+def _solved(matrix: Complex, right: Complex) -> Complex:
+    """matrix^-1 right, (k, n, n) and (k, n, j); NaN where a matrix is singular: at a pole on the axis there is no response."""
     try:
-        return np.asarray(np.linalg.solve(matrix, B.astype(complex)), np.complex128)
+        return np.asarray(np.linalg.solve(matrix, right), np.complex128)
     except np.linalg.LinAlgError:
-        return np.full(B.shape, np.nan, np.complex128)
+        if len(matrix) == 1:
+            return np.full(right.shape, np.nan, np.complex128)
+        return np.concatenate([_solved(matrix[[i]], right[[i]]) for i in range(len(matrix))])
 
 
 def _loop(G: Complex, delays: Complex, cut: list[int], s: Complex, sampled: bool) -> Complex:
@@ -75,7 +74,7 @@ def _loop(G: Complex, delays: Complex, cut: list[int], s: Complex, sampled: bool
     if others:
         bad = np.asarray(~np.isfinite(G).all(axis=(1, 2)))
         G = np.where(bad[:, None, None], 0.0, G)
-        back = np.linalg.solve(np.eye(len(others)) - G[:, others][:, :, others], G[:, others][:, :, cut])
+        back = _solved(np.eye(len(others)) - G[:, others][:, :, others], G[:, others][:, :, cut])
         open_wires = G[:, cut][:, :, cut] + G[:, cut][:, :, others] @ back
         open_wires[bad] = np.nan
     if len(cut) == 1:
