@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 
 from mfc_analysis.analysis.modal_response import LONGEST, ModalPieces, Term, term
 from mfc_analysis.analysis.modes import modes
@@ -61,7 +62,21 @@ def test_the_reach_bounds_what_is_still_to_come() -> None:
     for i, piece in enumerate(run[:]):
         assert np.abs(piece.nodes[1] - run.steady).max() <= run.reach[i] * (1 + 1e-9)
     assert all(len(piece.c) <= LONGEST for piece in run)
-    assert np.isinf(pieces(JORDAN)[0].reach).all()
+    assert np.isinf(pieces(JORDAN)[0].reach).all()  # a few pieces, all looked at
+
+
+@pytest.mark.parametrize("dt", [0.0, 1e-4])
+def test_a_defective_mode_has_a_bound_too(dt: float) -> None:
+    pair = np.array([[0.0, 10.0], [-10.0, -0.2]])
+    A = np.block([[pair, np.eye(2)], [np.zeros((2, 2)), pair]])  # each root twice, in a chain
+    _, found = pieces((expm(A * dt) - np.eye(4)) / dt if dt else A, dt)
+    t = np.linspace(0, 200, 401)
+    for one in found:
+        assert len(one.T) == 2
+        size = np.array([np.linalg.norm(one.g @ one.over(x)) * np.linalg.norm(one.v) for x in t])
+        later = np.maximum.accumulate(size[::-1])[::-1]
+        bound = one.bound(t)
+        assert (bound >= later).all() and bound[200] < 1e-2 * bound[0]
 
 
 def test_a_response_that_never_seems_to_end_is_refused_with_its_reason() -> None:
