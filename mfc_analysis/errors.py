@@ -116,7 +116,10 @@ class NearSingular(MfcError, ValueError):
 
 
 class NotConverged(MfcError, ValueError):
-    """A search (inverse kinematics, equilibrium, periodic orbit) does not converge."""
+    """A search (inverse kinematics, equilibrium, periodic orbit, roots) does not converge, and why."""
+
+    def __init__(self, what: str, reason: str = "") -> None:
+        super().__init__(f"{what}: {reason}" if reason else what)
 
 
 class NearPi(MfcError, ValueError):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
+
 import pytest
 
 from mfc_analysis import errors
+from mfc_analysis.errors import NotConverged
 
 
 def test_a_short_list_of_names_is_said_whole_and_in_its_order():
@@ -34,3 +37,9 @@ def test_no_names_at_all_are_said():
 def test_a_shape_is_no_quotation():
     assert str(errors.BadArgument("kp", "shape (3,)", "shape (6,)")) == "kp: got shape (3,); takes shape (6,)"
     assert str(errors.BadArgument("kp", "many", "a number")) == "kp: got 'many'; takes a number"
+
+
+def test_what_does_not_converge_says_why_in_one_sentence_after_a_pickle_too():
+    one = NotConverged("the number of roots is not settled", "a root lies on the circle")
+    assert str(one) == str(pickle.loads(pickle.dumps(one))) == "the number of roots is not settled: a root lies on the circle"
+    assert str(NotConverged("no orbit")) == "no orbit"
