@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
-from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.arrays import Array, Bools
 from mfc_analysis.maths.dual import Dual, Vector, times, value
 from mfc_analysis.maths.se3 import Jlog3, Jlog3_slope, Pose, hat, log3, pose_matrix, rotation_vector
 from mfc_analysis.robots.primitives import Primitives
@@ -24,10 +24,13 @@ from mfc_analysis.robots.primitives import Primitives
 STIFFEST = 1e15  #: [N/m, Nm/rad] largest stiffness of a search
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
+#: one-sided surfaces: False: stick; True: push where they are penetrated; (6,) bool of each surface: push along the axes that are touched
+LoseContact = bool | Sequence[Bools]
+
 
 @dataclass(frozen=True, eq=False)
 class Environment:
-    """A spring-damper environment.
+    r"""A spring-damper environment.
 
     Args:
         stiffness: [N/m, Nm/rad] scalar, one per axis in the order of ``axes``, or (6, 6) in the compliance frame (then ``axes`` is not used).
@@ -35,7 +38,15 @@ class Environment:
         pose: 4x4 pose of the compliance frame in the world; None: the tool's start pose.
         axes: directions of the compliance frame, "z", "xyz", "rz", "xyrz", ...
         preload: [N, Nm] the force at ``pose``, scalar or one per axis ((6,) with a (6, 6) stiffness).
-        one_sided: in simulation only: the surface pushes and never pulls; contact made and lost is logged.
+        one_sided: in simulation only: the surface pushes, never pulls, and does nothing before it is touched; contact made and lost is logged.
+
+    A one-sided surface resists along each of its axes by itself (several translations: the faces of a corner; a rotation: a stop):
+
+    .. math:: f_i = \max(0,\; p_i + (B \dot d)_i) \quad \text{where} \quad p_i = (K d + f_0)_i > 0, \qquad f_i = 0 \text{ elsewhere}
+
+    with d (6,) the coordinates above. p is the elastic force, the penetration times the stiffness: along one axis the surface begins at
+    d = -preload/stiffness, before the pose where the preload presses. A damper acts while p > 0 only: an axis without stiffness and preload
+    does nothing. The force jumps to damping x speed at the touch (Kelvin-Voigt), and is 0 from where it would pull until p = 0, the lift.
 
     Raises:
         BadArgument: a negative or non-finite number, a shape that does not fit the axes, an unknown axis, not a pose.
@@ -109,23 +120,26 @@ class Contact:
 
     wrench: Vector  #: F_tip (..., 6)
     forces: tuple[Vector, ...]  #: one per surface: (..., 6) in its compliance frame
+    elastic: tuple[Array, ...]  #: their part K d + f0 without damping, (..., 6): a one-sided axis is touched where it is positive
 
 
-def contact(surfaces: Sequence[Environment], model: Primitives, q: Vector, v: Vector, *, lose_contact: bool = False) -> Contact:
-    """F_tip of all surfaces at (q, v), plain or dual; ``lose_contact``: one-sided surfaces cannot pull."""
+def contact(surfaces: Sequence[Environment], model: Primitives, q: Vector, v: Vector, *, lose_contact: LoseContact = False) -> Contact:
+    """F_tip of all surfaces at (q, v), plain or dual. With axes given as touched the equations have no jump: those between two events."""
     X = model.pose(q)
     V = model.jacobian(q, v)
     wrench: Vector = np.zeros((*X.p.shape[:-1], 6))
-    forces = []
-    for surface in surfaces:
-        part, force = _press(surface, X, V, lose_contact and surface.one_sided)
+    forces, elastic = [], []
+    for i, surface in enumerate(surfaces):
+        lose = surface.one_sided and (lose_contact if isinstance(lose_contact, bool) else lose_contact[i])
+        part, force, pressed = _press(surface, X, V, lose)
         wrench = wrench + part if isinstance(part, Dual) else part + wrench
         forces.append(force)
-    return Contact(wrench, tuple(forces))
+        elastic.append(pressed)
+    return Contact(wrench, tuple(forces), tuple(elastic))
 
 
-def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tuple[Vector, Vector]:
-    """F_tip of one surface, and its force in the compliance frame. A moment is power-conjugate to the rotation vector: J^T of its rate J w."""
+def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool | Bools) -> tuple[Vector, Vector, Array]:
+    """F_tip of one surface, its force in the compliance frame and the elastic part. A moment is power-conjugate to the rotation vector: J^T of its rate J w."""
     assert surface.pose is not None
     Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
     size = 6 if max(surface.index) > 2 else 3  # without rotations no logarithm is needed, and any angle is allowed
@@ -140,14 +154,17 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tupl
         J = Jlog3(angle)
         depth, rate = np.concatenate([depth, angle], axis=-1), np.concatenate([rate, times(J, w)], axis=-1)
     f = depth @ K + rate @ B + surface.f0[:size]
+    elastic = depth @ K + surface.f0[:size]
     pushes = np.ones(f.shape)
-    if lose_contact:
-        pushes[..., list(surface.index)] = f[..., list(surface.index)] > 0
+    if lose_contact is not False:
+        touched = elastic > 0 if lose_contact is True else np.asarray(lose_contact)[:size]
+        pushes = np.where((f > 0) & touched, 1.0, 0.0)
         f = f * pushes
     g, moment = times(Ct, f[..., :3]), times(np.swapaxes(J, -1, -2), f[..., 3:]) if size == 6 else angle
-    wrench, force = np.concatenate([g, moment], axis=-1), np.concatenate([f, np.zeros((*f.shape[:-1], 6 - size))], axis=-1)
+    rest = np.zeros((*f.shape[:-1], 6 - size))
+    wrench, force, elastic = (np.concatenate(parts, axis=-1) for parts in ([g, moment], [f, rest], [elastic, rest]))
     if X.twist is None:
-        return wrench, force
+        return wrench, force, elastic
     linear, turn = X.twist[..., :3, :], X.twist[..., 3:, :]
     dV = V.tangent if isinstance(V, Dual) else np.zeros_like(X.twist)
     depths, rates = C @ linear, C @ (dV[..., :3, :] - hat(v) @ turn)
@@ -160,7 +177,7 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool) -> tupl
     if size == 6:
         dm = np.swapaxes(J, -1, -2) @ df[..., 3:, :] - Jlog3_slope(-angle, f[..., 3:]) @ angles
     none = np.zeros((*df.shape[:-2], 6 - size, df.shape[-1]))
-    return Dual(wrench, np.concatenate([dg, dm], axis=-2)), Dual(force, np.concatenate([df, none], axis=-2))
+    return Dual(wrench, np.concatenate([dg, dm], axis=-2)), Dual(force, np.concatenate([df, none], axis=-2)), elastic
 
 
 def stiffened(surface: Environment, stiffness: float, X: ArrayLike) -> Environment:

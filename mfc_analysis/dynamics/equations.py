@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mfc_analysis.dynamics.environment import Contact, Environment, contact
+from mfc_analysis.dynamics.environment import Contact, Environment, LoseContact, contact
 from mfc_analysis.dynamics.hardware import Hardware, JointHardware
 from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
 from mfc_analysis.laws.law import TWIST, WRENCH, Action, JointReference, Law, Measured, Slot, ToolReference
@@ -241,7 +241,9 @@ class Equations:
 
     # --- the loop ------------------------------------------------------------------------------------------------
 
-    def flow(self, t: float | Array, x: Vector, wires: Wires | None = None, inputs: Inputs | None = None, *, lose_contact: bool = False) -> Flow:
+    def flow(
+        self, t: float | Array, x: Vector, wires: Wires | None = None, inputs: Inputs | None = None, *, lose_contact: LoseContact = False
+    ) -> Flow:
         """Rates and signals of the loop at state x (..., nx) and time t (...,), plain or dual; wires may be cut.
 
         Raises NearSingular and NearPi with the time.
@@ -249,7 +251,7 @@ class Equations:
         with timed(t):
             return self._flow(t, self.split(x), wires or Wires(), inputs or Inputs(), lose_contact)
 
-    def _flow(self, t: float | Array, s: dict[str, Vector], wires: Wires, inputs: Inputs, lose_contact: bool) -> Flow:
+    def _flow(self, t: float | Array, s: dict[str, Vector], wires: Wires, inputs: Inputs, lose_contact: LoseContact) -> Flow:
         touched = self.touch(s, lose_contact=lose_contact)
         action, rates = self.control(t, s, touched.wrench, wires, inputs)
         disturbance = 0.0 if inputs.disturbance is None else inputs.disturbance
@@ -261,10 +263,10 @@ class Equations:
         rates.update(self.move(s, command, touched.wrench, disturbance))
         return Flow(rates, action.error, command, touched.wrench, touched)
 
-    def touch(self, s: Mapping[str, Vector], *, lose_contact: bool = False) -> Contact:
+    def touch(self, s: Mapping[str, Vector], *, lose_contact: LoseContact = False) -> Contact:
         """The tool's wrench on the surfaces."""
         if not self.surfaces:
-            return Contact(np.zeros((*value(s["q"]).shape[:-1], 6)), ())
+            return Contact(np.zeros((*value(s["q"]).shape[:-1], 6)), (), ())
         return contact(self.surfaces, self.plant, s["q"], s["v"], lose_contact=lose_contact)
 
     def control(self, t: float | Array, s: Mapping[str, Vector], F: Vector, wires: Wires, inputs: Inputs) -> tuple[Action, dict[str, Vector]]:
@@ -344,7 +346,7 @@ class Equations:
 
     # --- for plain arrays ----------------------------------------------------------------------------------------
 
-    def rates(self, t: float | Array, x: Array, disturbance: Array | None = None, *, lose_contact: bool = False) -> Array:
+    def rates(self, t: float | Array, x: Array, disturbance: Array | None = None, *, lose_contact: LoseContact = False) -> Array:
         """x' (..., nx) for plain arrays, as a simulation integrates it (no dead time, no sampling)."""
         found = self.flow(t, x, None, None if disturbance is None else Inputs(disturbance=disturbance), lose_contact=lose_contact)
         return value(self.join(found.rates))

@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.dynamics.environment import LoseContact
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, reference_channels
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
@@ -43,7 +44,7 @@ def _tangent(x: Vector, shape: tuple[int, int], width: int) -> Array:
     return x.tangent if isinstance(x, Dual) else np.zeros((*shape, width))
 
 
-def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state", *, lose_contact: bool = False) -> Array:
+def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state", *, lose_contact: LoseContact = False) -> Array:
     """A of the closed loop (m, nx, nx), dead time left out."""
     if equations.law.needs_acceleration:
         return close_wires(open_system(equations, times, x, coordinates))[0]

@@ -60,11 +60,11 @@ class Late:
 
 def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
     """Method of steps on ``segments``: every signal that arrives in a segment was sent in an earlier one, and has no kink within it."""
-    e, lose = run.equations, run.one_sided
+    e = run.equations
     delays = e.delays
     start, end = float(asked[0]), float(asked[-1])
     wires = Wires()
-    e.flow(start, x0, wires, run.inputs(start), lose_contact=lose)
+    e.flow(start, x0, wires, run.inputs(start), lose_contact=run.lose_contact)
     history = {name: History(start, np.array(value(wires.recorded[name]))) for name in delays}
 
     def arriving(t: float) -> dict[str, Vector]:
@@ -74,26 +74,28 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
         run.arrived = Late(history[e.actuator], delays[e.actuator])
 
     def rates(t: float, x: Array) -> Array:
-        rates_now: Array = value(e.join(e.flow(t, x, Wires(arriving(t)), run.inputs(t), lose_contact=lose).rates))
+        rates_now: Array = value(e.join(e.flow(t, x, Wires(arriving(t)), run.inputs(t), lose_contact=run.lose_contact).rates))
         return rates_now
 
-    x = x0
-    for begin, stop in segments(start, end, list(delays.values())):
-        reached = run.integrate(rates, begin, stop, x, short=True)
-        if reached is None:
-            return
-        x = reached
+    def record(begin: float, stop: float) -> None:
         run.spent += RECORDING
         t = begin + NODES * (stop - begin)
         states = np.stack([run.path.at(float(ti)) for ti in t])
         recorded = Wires({name: np.stack([history[name].at(float(ti) - d) for ti in t]) for name, d in delays.items()})
         try:
-            e.flow(t, states, recorded, Inputs(), lose_contact=lose)
+            e.flow(t, states, recorded, Inputs(), lose_contact=run.lose_contact)
         except MfcError as why:
             run.refuse(stop, why)
             return
         for name in delays:
             history[name].add(begin, stop - begin, np.array(np.broadcast_to(value(recorded.recorded[name]), (len(t), history[name].first.size))))
+
+    x = x0
+    for begin, stop in segments(start, end, list(delays.values())):
+        reached = run.integrate(rates, begin, stop, x, short=True, record=record)
+        if reached is None:
+            return
+        x = reached
 
 
 def segments(start: float, end: float, delays: list[float]) -> Iterator[tuple[float, float]]:

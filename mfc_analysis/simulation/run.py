@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from typing import Any
@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from mfc_analysis.dynamics.environment import LoseContact
 from mfc_analysis.dynamics.equations import Equations, Inputs
 from mfc_analysis.errors import BadArgument, MfcError
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.dual import value
+from mfc_analysis.simulation.touching import Event, Touching
 
 Disturbance = Callable[[float], Array]
 Guard = Callable[[Callable[[float, Array], Array], float], Callable[[float, Array], Array]]
@@ -24,9 +25,6 @@ FAR = 1e4  #: [rad, m, rad/s, m/s] above this position or velocity a run has div
 
 
 FASTEST = 1e15  #: [1/s of any state] above this rate the solver would not finish
-
-
-NO_FORCE = 1e-9  #: [N, Nm] below this force a surface is not in contact
 
 
 MOST = 100_000  #: evaluations that a run takes at most for a joint law without surfaces: about 10 s of work
@@ -71,16 +69,6 @@ class Outcome(Enum):
     STOPPED = "the run was stopped"
 
 
-@dataclass(frozen=True, eq=False)
-class Event:
-    """Contact with a surface made or lost."""
-
-    time: float  #: [s]
-    kind: str  #: "touch" or "lift"
-    surface: int  #: index in the list of environments
-    axis: str  #: direction of its compliance frame
-
-
 class DenseOutput:
     """Dense output assembled from segments."""
 
@@ -117,6 +105,12 @@ class Run:
     message: str = Outcome.FINISHED.value
     refused: MfcError | None = None
     arrived: Callable[[float], Array] | None = None  #: with dead time or sampling: the command that has reached the joints
+    touching: Touching | None = field(init=False, default=None)  #: None without a one-sided surface
+    _changed: bool = False  #: the last piece ended where contact changes
+
+    def __post_init__(self) -> None:
+        if any(s.one_sided for s in self.equations.surfaces):
+            self.touching = Touching(self.equations, self.path.first)
 
     @cached_property
     def price(self) -> float:
@@ -126,17 +120,37 @@ class Run:
         return Inputs() if self.disturbance is None else Inputs(disturbance=self.disturbance(t))
 
     @property
-    def one_sided(self) -> bool:
-        return any(s.one_sided for s in self.equations.surfaces)
+    def lose_contact(self) -> LoseContact:
+        """For the equations at this time of the run: the axes of one-sided surfaces that are touched."""
+        return False if self.touching is None else self.touching.axes
 
     def integrate(
-        self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False, cost: float = 1.0
-    ) -> Array | None:
+        self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False, cost: float = 1.0,
+        record: Callable[[float, float], None] | None = None,
+    ) -> Array | None:  # fmt: skip
         """Integrates from start to end and adds to the path. Returns the final state, None where the run has stopped.
 
+        Where contact is made or lost a piece ends and the solver starts again, so that no step contains a jump of the force.
         ``short``: one of many short segments. These use explicit Runge-Kutta, since a multistep method would restart on each.
-        ``cost``: of the rates, in evaluations of the equations.
+        ``cost``: of the rates, in evaluations of the equations. ``record(begin, stop)`` sees each piece before contact changes.
         """
+        now: Array | None = x
+        while now is not None:
+            begin, now = start, self._piece(rates, start, end, now, jac, short, cost)
+            start = self.path.starts[-1]
+            if now is not None and record is not None:
+                record(begin, start)
+                now = now if self.outcome is Outcome.FINISHED else None
+            if now is not None and self.touching is not None and self._changed:
+                self.events += self.touching.switch(start, now)
+            if end - start <= 1e-14 * max(1.0, abs(end)):
+                break
+        return now
+
+    def _piece(
+        self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any, short: bool, cost: float
+    ) -> Array | None:  # fmt: skip
+        """``integrate`` up to ``end`` or to where contact changes."""
         self.spent += 1
         if self.spent >= self.most:
             self._give_up(start)
@@ -149,13 +163,14 @@ class Run:
             options.update(method="DOP853" if options["rtol"] < 1e-8 else "RK45", first_step=end - start)
         if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
             options["jac"] = self._counted(jac)
-        if self.one_sided:
+        if self.touching is not None:
             options["max_step"] = CONTACT_STEP
 
         def solve(guard: Guard, options: dict[str, Any]) -> Any:
             f = guard(rates, cost + SOLVER[options["method"]] / self.price)
+            events = [self._far(), self._used_up(), *([] if self.touching is None else [self.touching.change()])]
             with np.errstate(all="ignore"):
-                return solve_ivp(f, (start, end), x, dense_output=True, events=[self._far(), self._used_up()], **options)
+                return solve_ivp(f, (start, end), x, dense_output=True, events=events, **options)
 
         try:
             try:
@@ -165,12 +180,12 @@ class Run:
         except _Endless:
             self._give_up(start)
             return None
-        self.events += self._contacts(found)
         self.path.add(float(found.t[-1]), found.sol)
         if found.t_events is not None and found.t_events[1].size:
             self._give_up(float(found.t[-1]))
             return None
-        if found.status == 1 or not np.isfinite(found.y).all():
+        self._changed = self.touching is not None and found.t_events is not None and found.t_events[2].size > 0
+        if (found.status == 1 and not self._changed) or not np.isfinite(found.y).all():
             self.stop(Outcome.DIVERGED, float(found.t[-1]), f"position or velocity beyond {FAR:g}")
             return None
         if found.status < 0:
@@ -247,34 +262,6 @@ class Run:
 
         far.terminal = True  # type: ignore[attr-defined]  # solve_ivp reads it there
         return far
-
-    def _contacts(self, found: Any) -> list[Event]:
-        """Touch and lift between the solver's steps, located on its dense output.
-
-        solve_ivp's events are not used: they take the signs at the steps and search on the dense output, and these differ by rounding.
-        """
-        e = self.equations
-        if not self.one_sided or found.t.size < 2:
-            return []
-
-        def forces(t: Array) -> list[Array]:
-            return [value(f) for f in e.touch(e.split(np.ascontiguousarray(np.atleast_2d(found.sol(t).T)))).forces]
-
-        at_steps = forces(found.t)
-        out = []
-        for i, surface in enumerate(e.surfaces):
-            for axis, index in zip(surface.axis_names, surface.index, strict=True) if surface.one_sided else ():
-                presses = at_steps[i][:, index] > NO_FORCE
-                for k in np.flatnonzero(presses[:-1] != presses[1:]):
-                    low, high = float(found.t[k]), float(found.t[k + 1])
-                    while high - low > 1e-12 * max(1.0, high):
-                        middle = 0.5 * (low + high)
-                        if (forces(np.array([middle]))[i][0, index] > NO_FORCE) == presses[k]:
-                            low = middle
-                        else:
-                            high = middle
-                    out.append(Event(high, "touch" if presses[k + 1] else "lift", i, axis))
-        return out
 
 
 def bounded(rates: Array) -> Array:

@@ -39,7 +39,7 @@ class Constant:
 
 def run_sampled(run: Run, asked: Array, x0: Array) -> None:
     """Runs sample by sample: the law reads at t_k, its torque is held (after the dead time), its own states advance with inputs held."""
-    e, lose = run.equations, run.one_sided
+    e = run.equations
     T = e.sample_time
     delay, force_delay = (e.delays.get(name, 0.0) for name in (e.actuator, "force"))
     start, end = float(asked[0]), float(asked[-1])
@@ -56,7 +56,7 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
         t = start + k * T
         s = e.split(x)
         read = e.split(run.path.at(max(t - force_delay, start))) if force_delay else s
-        F = value(e.touch(read, lose_contact=lose).wrench)
+        F = value(e.touch(read, lose_contact=True).wrench)
         try:
             with timed(t):
                 action, rates = e.control(t, s, F, Wires(), Inputs())
@@ -80,12 +80,12 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
 
 
 def _held_rates(run: Run, held: Array) -> Callable[[float, Array], Array]:
-    e, lose = run.equations, run.one_sided
+    e = run.equations
 
     def rates(t: float, x: Array) -> Array:
         s = e.split(x)
         d = 0.0 if run.disturbance is None else run.disturbance(t)
-        moved = e.move(s, held, e.touch(s, lose_contact=lose).wrench if e.surfaces else np.zeros(6), d)
+        moved = e.move(s, held, e.touch(s, lose_contact=run.lose_contact).wrench if e.surfaces else np.zeros(6), d)
         out = np.zeros(e.nx)
         for name, rate in moved.items():
             out[e.parts[name].where] = value(rate)

@@ -2,7 +2,7 @@
 
 Without dead time and sampling: one run, LSODA with the exact Jacobian. With dead time: method of steps, segments no longer than
 the shortest dead time. With a sample time: sample by sample, the torque held, the law's own states advanced as the discrete
-model advances them. One-sided surfaces push and never pull; touch and lift are events.
+model advances them. Where a one-sided surface is touched or left a run goes on with a fresh start of the solver, and logs an event.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
 from mfc_analysis.simulation.delayed import run_with_dead_time
-from mfc_analysis.simulation.run import FAR, DenseOutput, Disturbance, Event, Outcome, Run, bounded, most_evaluations
+from mfc_analysis.simulation.run import FAR, DenseOutput, Disturbance, Outcome, Run, bounded, most_evaluations
 from mfc_analysis.simulation.sampled import run_sampled
+from mfc_analysis.simulation.touching import Event
 
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
 SHORTEST = 1e-9  #: [s] shortest run; a shorter one raises BadArgument
@@ -110,7 +111,9 @@ def simulate(
     moving = np.concatenate([x0[where] for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
     if np.abs(moving).max() > FAR:
         raise BadArgument("the start", float(np.abs(moving).max()), f"positions and velocities up to {FAR:g}")
-    start = e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])))  # a start that cannot be evaluated raises here; it is not an outcome
+    start = e.flow(
+        float(asked[0]), x0, None, run.inputs(float(asked[0])), lose_contact=True
+    )  # a start that cannot be evaluated raises here; it is not an outcome
     bounded(value(e.join(start.rates)))
     if len(asked) > 1:
         _run(run, asked, x0)
@@ -137,16 +140,16 @@ def _run(run: Run, asked: Array, x0: Array) -> None:
 
 
 def _run_continuous(run: Run, asked: Array, x0: Array) -> None:
-    e, lose = run.equations, run.one_sided
+    e = run.equations
 
     def rates(t: float, x: Array) -> Array:
-        return value(e.join(e.flow(t, x, None, run.inputs(t), lose_contact=lose).rates))
+        return value(e.join(e.flow(t, x, None, run.inputs(t), lose_contact=run.lose_contact).rates))
 
     known = [np.zeros((e.nx, e.nx))]
 
     def jac(t: float, x: Array) -> Array:
         with suppress(MfcError):  # the trial step is too long: the rates report it, and the solver uses the last Jacobian
-            known[0] = closed_matrix(e, np.array([t]), x[None], lose_contact=lose)[0]
+            known[0] = closed_matrix(e, np.array([t]), x[None], lose_contact=run.lose_contact)[0]
         return known[0]
 
     run.integrate(rates, float(asked[0]), float(asked[-1]), x0, jac)
@@ -180,7 +183,7 @@ def _signals(run: Run, t: Array, x: Array) -> tuple[Array, Array, Flow]:
     while True:
         try:
             disturbance = None if run.disturbance is None else np.stack([run.disturbance(float(ti)) for ti in t])
-            return t, x, run.equations.flow(t, x, None, Inputs(disturbance=disturbance), lose_contact=run.one_sided)
+            return t, x, run.equations.flow(t, x, None, Inputs(disturbance=disturbance), lose_contact=True)
         except MfcError:
             if run.outcome is not Outcome.REFUSED or len(t) == 1:
                 raise

@@ -118,9 +118,28 @@ def test_a_one_sided_surface_pushes_and_never_pulls_and_only_in_simulation() -> 
     assert at(-0.1, 0.0, True) == 0.0 and at(-0.1, 0.0, False) == -10.0
     assert at(0.1, 0.0, True) == at(0.1, 0.0, False) == 10.0
     assert at(0.1, -3.0, True) == 0.0  # a damper does not pull back
+    assert at(-0.001, 3.0, True) == 0.0 and at(0.001, 3.0, True) == pytest.approx(15.1)  # and does not push before the touch
+    held = [np.asarray(contact([wall], P, np.array([z]), np.array([3.0]), lose_contact=[np.arange(6) == 2]).wrench)[2] for z in (0.001, -0.001)]
+    assert_allclose(held, [15.1, 14.9])  # an axis given as touched
     law = L.DampedForcePI([0, 0, 5.0, 0, 0, 0], 1.0, 2.0, 10.0)
     A = [ClosedLoop(robot, law, Hold([-0.2]), environment=Environment(100.0, pose=np.eye(4), one_sided=o)).linearize([0.0]).A for o in (True, False)]
     assert_allclose(A[0], A[1])
+
+
+@pytest.mark.parametrize("axes", ["xyz", "rz", "zrxry", "full"])
+def test_each_axis_of_a_one_sided_surface_pushes_where_its_own_elastic_force_does(axes: str) -> None:
+    """f_i = max(0, p_i + (B d')_i) where p_i = (K d + f0)_i > 0; the elastic part is the force of the same surface without damping."""
+    q, v, X = place()
+    rng = np.random.default_rng(5)
+    B = rng.normal(size=(6, 6))
+    for sign in (1.0, -1.0, 3.0, -3.0):
+        full = axes == "full"
+        k, c, along = (300 * (B @ B.T + np.eye(6)), 9 * (B @ B.T + np.eye(6)), "z") if full else (300.0, 9.0, axes)
+        surfaces = [Environment(k, d, pose=X, axes=along, preload=1.0, one_sided=o) for d, o in ((0.0 * c, False), (c, False), (c, True))]
+        elastic, both, pushed = (np.asarray(contact([s], Primitives(arm(NAME)), q, sign * v, lose_contact=True).forces[0]) for s in surfaces)
+        assert_allclose(pushed, np.where((elastic > 0) & (both > 0), both, 0.0), atol=1e-9)
+        found = contact(surfaces[2:], Primitives(arm(NAME)), q, sign * v, lose_contact=True)
+        assert_allclose(found.elastic[0], elastic, atol=1e-9)
 
 
 def test_the_pose_is_the_tools_start_unless_given() -> None:
