@@ -29,6 +29,7 @@ from mfc_analysis.requirements.requirements import Requirements
 __all__ = ["Limit", "Outcome", "WorstCase", "max_bandwidth", "max_delay", "max_payload", "max_stiffness", "min_sample_rate", "worst_case"]
 
 HEAVIEST = 1e9  #: [kg] largest payload searched for
+USUAL_RATE = 1e5  #: [1/s] highest sample rate searched at first
 MOVING_TIMES = 21  #: times checked along a moving reference
 
 
@@ -98,24 +99,33 @@ def max_payload(
 
 
 def min_sample_rate(
-    loop: ClosedLoop, lower: float = 0.1, upper: float = 1e5, *, times: ArrayLike | None = None, horizon: float = HORIZON, progress: bool = False
-) -> Limit:
+    loop: ClosedLoop, lower: float = 0.1, upper: float | None = None, *, times: ArrayLike | None = None, horizon: float = HORIZON,
+    progress: bool = False,
+) -> Limit:  # fmt: skip
     """Smallest rate [1/s] of a sampled controller (``Hardware.sample_time``, zero-order hold) with which the loop is stable.
 
-    The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate; rates are 1e-9 to 1e9 1/s.
+    The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate of the search, whose
+    ends ``binds`` gives. Rates are 1e-9 to 1e9 1/s. ``upper`` None: 1e5 1/s, and 1e9 1/s where no rate up to there is stable.
     Raises BadArgument.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
-    lower, upper = (checks.number(name, rate, low=1 / LONGEST, high=1 / SHORTEST) for name, rate in (("lower", lower), ("upper", upper)))
+    ends = ("lower", lower), ("upper", USUAL_RATE if upper is None else upper)
+    low, high = (checks.number(name, rate, low=1 / LONGEST, high=1 / SHORTEST) for name, rate in ends)
     hardware = loop.hardware or Hardware()
 
     def sampled(period: float) -> ClosedLoop:
         return replace(loop, hardware=replace(hardware, sample_time=period))
 
-    found = _limit(sampled, scan(1 / upper, 1 / lower), loop, times, horizon, "smallest stable sample rate", "1/s", progress)
+    def search(low: float, high: float) -> Limit:
+        return _limit(sampled, scan(1 / high, 1 / low), loop, times, horizon, "smallest stable sample rate", "1/s", progress, rate=True)
+
+    found = search(low, high)
+    if found.outcome is Outcome.NOWHERE and upper is None:
+        found = search(low, 1 / SHORTEST)
     value = {Outcome.FOUND: 1 / found if found else np.inf, Outcome.UNLIMITED: 0.0, Outcome.NOWHERE: np.inf}[found.outcome]
+    above = f"above the upper end of the search, {high:g} 1/s: " if found.outcome is Outcome.NOWHERE and upper is not None else ""
     note = (f"sample time {float(found):.6g} s",) if found.outcome is Outcome.FOUND else ()
-    return Limit(value, found.name, found.unit, found.outcome, found.binds, found.loop, found.beyond, found.evaluations, note + found.notes)
+    return Limit(value, found.name, found.unit, found.outcome, above + found.binds, found.loop, found.beyond, found.evaluations, note + found.notes)
 
 
 def max_bandwidth(
@@ -217,9 +227,15 @@ def stable(loop: ClosedLoop, times: ArrayLike, horizon: float = HORIZON) -> bool
 
 def _limit(
     make: Callable[[float], ClosedLoop], values: Array, loop: ClosedLoop, times: ArrayLike | None, horizon: float, name: str, unit: str,
-    progress: bool,
+    progress: bool, rate: bool = False,
 ) -> Limit:  # fmt: skip
+    """``rate``: the values are times [s], and what is said of them is their rate."""
     t = _times(loop, times)
+
+    def told(x: float) -> float:
+        return 1 / x if rate else x
+
+    on, ends = "down" if rate else "up", sorted(told(float(x)) for x in values[[0, -1]])
 
     def holds(x: float) -> bool:
         return stable(make(x), t, horizon)
@@ -227,14 +243,14 @@ def _limit(
     with shown(progress, name) as tick:
 
         def seen(x: float) -> bool:
-            tick(x)
+            tick(told(x))
             return holds(x)
 
         bracket = first_loss(seen, values, skip=values[0] > 0)
     if bracket.outcome is Outcome.NOWHERE:
         there = make(float(values[0]))
         said = (
-            f"not stable from {values[0]:g} to {values[-1]:g} {unit}; {_root(there, t, horizon)}"
+            f"not stable from {ends[0]:g} to {ends[1]:g} {unit}; {_root(there, t, horizon)}"
             if values[0]
             else f"not stable as given; {_root(there, t, horizon)}"
         )
@@ -242,14 +258,14 @@ def _limit(
     last = make(bracket.holds)
     notes: tuple[str, ...] = ()
     if bracket.before is not None:
-        notes += (f"also not stable from {values[0]:.4g} up to {bracket.before:.4g} {unit}",)
+        notes += (f"also not stable from {told(float(values[0])):.4g} {on} to {told(bracket.before):.4g} {unit}",)
     if Evidence(last.equations, t, horizon=horizon).stability.drifts.any():
         notes += ("the loop drifts: the limit is that of the roots that are not slow",)
     if bracket.outcome is Outcome.UNLIMITED:
-        return Limit(np.inf, name, unit, bracket.outcome, f"stable up to {bracket.holds:g} {unit}", last, None, bracket.evaluations, notes)
+        return Limit(np.inf, name, unit, bracket.outcome, f"stable {on} to {told(bracket.holds):g} {unit}", last, None, bracket.evaluations, notes)
     if bracket.before is not None:  # an island: what lies beyond it may be the larger part
         again = next((float(x) for x in values[values > bracket.lost] if holds(float(x))), None)
-        notes += (f"stable again at {again:.4g} {unit}",) if again else ()
+        notes += (f"stable again at {told(again):.4g} {unit}",) if again else ()
     beyond = make(bracket.lost)
     return Limit(bracket.holds, name, unit, bracket.outcome, f"beyond it {_root(beyond, t, horizon)}", last, beyond, bracket.evaluations, notes)
 

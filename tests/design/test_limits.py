@@ -143,6 +143,20 @@ def test_sampled_velocity_p_needs_a_rate_of_half_k(k):
         assert velocity_p(k, sample_time=factor / found).linearize([0.0]).stable.all() == holds
 
 
+def test_a_light_joint_needs_a_rate_above_the_usual_ones_and_ranges_are_rates():
+    """PD on an inertia I under a zero-order hold: (z - 1)^2 + (kd T/I)(z - 1) + (kp T^2/2I)(z + 1) has its root at z = -1 where T = 2 I/kd."""
+    robot = mfc.robots.single_joint(inertia=2.216e-5, mass=0.0, damping=0.0)
+    loop = mfc.ClosedLoop(robot, mfc.laws.JointPID(200.0, kd=5.0), mfc.trajectories.Hold([0.0]))
+    found = design.min_sample_rate(loop)
+    assert float(found) == pytest.approx(5.0 / (2 * 2.216e-5), rel=1e-6) and found > 1e5
+    assert [found.loop.linearize().stable[0], found.beyond.linearize().stable[0]] == [True, False]
+    within = design.min_sample_rate(loop, upper=1e5)
+    assert math.isinf(within) and within.outcome is Outcome.NOWHERE
+    assert within.binds.startswith("above the upper end of the search, 100000 1/s: not stable from 0.1 to 100000 1/s; a ")
+    far = design.min_sample_rate(loop, lower=2e5, upper=1e6)
+    assert far == 0.0 and far.binds == "stable down to 200000 1/s"
+
+
 def test_the_largest_dead_time_is_the_delay_margin_of_a_single_loop():
     loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.ComputedTorque(kp=100.0, ki=100.0, kd=20.0), mfc.trajectories.Hold([0.3]))
     assert float(design.max_delay(loop)) == pytest.approx(loop.linearize([0.0]).margins().delay[0, 0], rel=1e-5)
@@ -186,7 +200,8 @@ def test_a_loop_that_is_unstable_as_it_is_has_no_room_at_all():
     for search in (design.max_delay, design.max_payload):
         found = search(loop)
         assert float(found) == 0.0 and found.outcome is Outcome.NOWHERE and "not stable as given" in found.binds
-    assert math.isinf(design.min_sample_rate(loop))
+    found = design.min_sample_rate(loop)
+    assert math.isinf(found) and found.binds.startswith("not stable from 0.1 to 1e+09 1/s")
 
 
 def test_a_drifting_loop_is_judged_by_its_other_roots():
