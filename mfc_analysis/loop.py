@@ -14,7 +14,7 @@ from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.equations import Equations, refuse_what_does_not_apply
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.jacobians import Coordinates
-from mfc_analysis.dynamics.operating_point import Nominal, at_rest, nominal
+from mfc_analysis.dynamics.operating_point import Nominal, nominal
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import Law
 from mfc_analysis.linearization.linearization import About, Linearization, linearize
@@ -32,13 +32,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """An equilibrium of the closed loop."""
+    """An equilibrium of the closed loop. ``notes`` tells how it was found where the loop is soft, and other rest points met."""
 
     q: Array  #: (n,)
     error: Array  #: e (n,) [rad, m] for joint laws, X_e (6,) [m, rad] for tool laws
     force: Array  #: (6,) F_tip, tool frame [N, Nm]
     torque: Array  #: (n,) commanded torque [Nm] (velocity [rad/s] for 9.1-9.5)
     x: Array  #: (nx,) the full state
+    stable: bool  #: no root grows, dead time, sampling and slow roots left out; ``linearize(about="equilibrium")`` has the full verdict
+    notes: tuple[str, ...]  #: sentences
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,20 +132,27 @@ class ClosedLoop:
         return nominal(self.equations, checks.times(times))
 
     def equilibrium(self) -> Equilibrium:
-        """The equilibrium near the reference (a Hold), with gravity sag and steady force error.
+        """The equilibrium that the loop comes to from the reference (a Hold), with gravity sag and steady force error.
+
+        A stiff loop has it near the reference, where Newton finds it. A soft loop can have several: a simulation from the reference, its
+        integrals at 0, up to 200 s, then tells which, and ``notes`` says so. One that is unstable, or about which the simulation does not
+        come to rest, is named as such. Surfaces are two-sided, as in the linear model.
 
         Raises NotConverged where none is found, Unsupported on a moving reference.
         """
+        from mfc_analysis.simulation.rest import at_rest
+
         rest = at_rest(self.equations)
         flow = self.equations.flow(0.0, rest.x[0])
         error, force, torque = (np.array(value(x)) for x in (flow.error, flow.F_tip, flow.command))
-        return Equilibrium(rest.x[0][: self.robot.n], error, force, torque, rest.x[0])
+        return Equilibrium(rest.x[0][: self.robot.n], error, force, torque, rest.x[0], rest.stable, rest.notes)
 
     def quasi_static(self) -> QuasiStatic:
         """Equation 9.20's model of the same loop: g + J^T F_tip = tau. ``.force`` (6,), ``.error`` = F_d - F_tip (6,)."""
         from mfc_analysis.dynamics.quasi_static import quasi_static
+        from mfc_analysis.simulation.rest import at_rest
 
-        return quasi_static(self.equations)
+        return quasi_static(self.equations, at_rest(self.equations).x if self.equations.surfaces else None)
 
     # --- linear --------------------------------------------------------------------------------------------------
 

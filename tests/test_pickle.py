@@ -45,6 +45,7 @@ WITHIN = {
     "Peak",
     "Replay",
     "Resolvent",
+    "Rest",
     "Run",
     "SecondOrder",
     "SingularValues",

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, solve_command_for_slots, timed
-from mfc_analysis.dynamics.jacobians import closed_matrix
-from mfc_analysis.errors import MfcWarning, NotConverged, Unsupported
+from mfc_analysis.errors import MfcWarning, NotConverged
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, value
 from mfc_analysis.trajectories.inverse_kinematics import follow
@@ -56,13 +55,6 @@ def nominal(equations: Equations, times: Array) -> Nominal:
 def on_reference(equations: Equations, times: Array) -> OperatingPoint:
     """Operating points on the reference, integrals trimmed."""
     return trimmed(equations, times, nominal(equations, times))
-
-
-def at_rest(equations: Equations) -> OperatingPoint:
-    """The equilibrium near a reference at rest. Raises Unsupported on a moving reference, NotConverged."""
-    if not equations.reference_source.is_hold:
-        raise Unsupported("about", "equilibrium", "a reference at rest (Hold, ToolHold): a moving reference has no equilibrium")
-    return rest_point(equations, on_reference(equations, np.zeros(1)), lambda x: closed_matrix(equations, np.zeros(1), x))
 
 
 def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPoint:

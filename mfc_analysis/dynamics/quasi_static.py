@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires
 from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
-from mfc_analysis.dynamics.operating_point import at_rest, nominal
+from mfc_analysis.dynamics.operating_point import nominal
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Complex
@@ -68,20 +68,19 @@ def _massless(e: Equations, A: Array, B: Array, C: Array, D: Array) -> Callable[
     return at
 
 
-def quasi_static(e: Equations) -> QuasiStatic:
+def quasi_static(e: Equations, rest: Array | None) -> QuasiStatic:
     """The static force of g + J^T F_tip = tau (9.20) under the law of the loop.
 
-    With an environment: at the equilibrium of the loop, which satisfies 9.20 exactly. Without one the tool is held rigidly in
+    With an environment: at ``rest`` (1, nx), the equilibrium of the loop, which satisfies 9.20 exactly. Without one the tool is held rigidly in
     all six directions at the reference: F_tip solves J^T F_tip = tau(F_tip) - g by least squares; with a force integral
-    F_tip = F_d. Raises Unsupported for velocity laws, NotConverged.
+    F_tip = F_d. Raises Unsupported for velocity laws.
     """
     if e.actuator != "torque":
         raise Unsupported("law", type(e.law).__name__, "a law with torque inputs")
     F_d = np.zeros(6) if e.law.desired_wrench is None else e.law.desired_wrench
-    if e.surfaces:
-        rest = at_rest(e)
-        force = np.array(value(e.flow(0.0, rest.x[0]).F_tip))
-        return QuasiStatic(force, F_d - force, rest.x[0][: e.n], e, rest.x)
+    if rest is not None:
+        force = np.array(value(e.flow(0.0, rest[0]).F_tip))
+        return QuasiStatic(force, F_d - force, rest[0][: e.n], e, rest)
     asked = nominal(e, np.zeros(1))
     slots: dict[str, Array] = {name: np.zeros((1, where.stop - where.start)) for name, (where, _) in e.parts.items()}
     slots["q"] = asked.q

@@ -15,7 +15,7 @@ from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, close_wires
 from mfc_analysis.dynamics.equations import Equations, timed, warn_near_singular
 from mfc_analysis.dynamics.jacobians import Coordinates, closed_matrix, open_system
-from mfc_analysis.dynamics.operating_point import OperatingPoint, at_rest, nominal, on_reference, residual
+from mfc_analysis.dynamics.operating_point import OperatingPoint, nominal, on_reference, residual
 from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint, Unsupported
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
 from mfc_analysis.maths import checks
@@ -349,6 +349,8 @@ def _points(equations: Equations, times: Array, about: About, run: Simulation | 
     if about == "reference":
         return on_reference(equations, times)
     if about == "equilibrium":
+        from mfc_analysis.simulation.rest import at_rest
+
         return OperatingPoint(times, np.repeat(at_rest(equations).x, len(times), axis=0), np.zeros((len(times), equations.n)))
     if run is None or getattr(run, "state_names", None) != equations.state_names:
         raise BadArgument("simulation", run, 'a Simulation of this loop to linearise along, with about="simulation"')
