@@ -17,6 +17,10 @@ from mfc_analysis.simulation.run import Run
 
 #: Chebyshev-Lobatto points on [0, 1], at which the signals of a segment are recorded for later segments
 NODES = 0.5 * (1 - np.cos(np.pi * np.arange(9) / 8))
+#: of the way to the middle of a segment: where the piece of a signal is chosen that arrives in it
+ASIDE = 1e-6
+#: dead times after which a kink comes back, smoother by one order each time, and still ends a segment
+ORDERS = 5
 #: evaluations of the equations that take about as long as the recording of a segment
 RECORDING = 4
 _WEIGHTS = np.array([0.5, -1, 1, -1, 1, -1, 1, -1, 0.5])
@@ -36,10 +40,12 @@ class History:
         self.lengths.append(length)
         self.samples.append(samples)
 
-    def at(self, t: float) -> Array:
-        if t < self.t0 or not self.starts:
+    def at(self, t: float, towards: float = 0.0) -> Array:
+        """The signal at t [s]; where it jumps, on the side ``towards`` [s] from there."""
+        side = t + ASIDE * towards
+        if side < self.t0 or not self.starts:
             return self.first
-        i = max(bisect_right(self.starts, t) - 1, 0)
+        i = max(bisect_right(self.starts, side) - 1, 0)
         apart = (t - self.starts[i]) / self.lengths[i] - NODES
         if np.abs(apart).min() < 1e-12:
             return np.asarray(self.samples[i][int(np.abs(apart).argmin())], float)
@@ -59,7 +65,10 @@ class Late:
 
 
 def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
-    """Method of steps on ``segments``: every signal that arrives in a segment was sent in an earlier one, and has no kink within it."""
+    """Method of steps on ``segments``: every signal that arrives in a segment was sent in an earlier one, and has no kink within it.
+
+    A touch or a lift ends a segment too, and so do its echoes: the force jumps there.
+    """
     e = run.equations
     delays = e.delays
     start, end = float(asked[0]), float(asked[-1])
@@ -67,8 +76,10 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
     e.flow(start, x0, wires, run.inputs(start), lose_contact=run.lose_contact)
     history = {name: History(start, np.array(value(wires.recorded[name]))) for name in delays}
 
+    middle = start  # of the segment under way
+
     def arriving(t: float) -> dict[str, Vector]:
-        return {name: history[name].at(t - d) for name, d in delays.items()}
+        return {name: history[name].at(t - d, middle - t) for name, d in delays.items()}
 
     if e.actuator in delays:
         run.arrived = Late(history[e.actuator], delays[e.actuator])
@@ -81,7 +92,9 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
         run.spent += RECORDING
         t = begin + NODES * (stop - begin)
         states = np.stack([run.path.at(float(ti)) for ti in t])
-        recorded = Wires({name: np.stack([history[name].at(float(ti) - d) for ti in t]) for name, d in delays.items()})
+        recorded = Wires(
+            {name: np.stack([history[name].at(float(ti) - d, 0.5 * (begin + stop) - float(ti)) for ti in t]) for name, d in delays.items()}
+        )
         try:
             e.flow(t, states, recorded, Inputs(), lose_contact=run.lose_contact)
         except MfcError as why:
@@ -90,27 +103,41 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
         for name in delays:
             history[name].add(begin, stop - begin, np.array(np.broadcast_to(value(recorded.recorded[name]), (len(t), history[name].first.size))))
 
-    x = x0
+    x, late, least = x0, echoes(list(delays.values())), min(delays.values())
+    marks: list[float] = []  #: [s] echoes of touch and lift that are still to come
     for begin, stop in segments(start, end, list(delays.values())):
-        reached = run.integrate(rates, begin, stop, x, short=True, record=record)
-        if reached is None:
-            return
-        x = reached
+        marks = [mark for mark in marks if mark > begin]
+        for a, b in pairwise(edges(begin, stop, marks, least)):
+            middle, known = 0.5 * (a + b), len(run.events)
+            reached = run.integrate(rates, a, b, x, short=True, record=record)
+            if reached is None:
+                return
+            x = reached
+            marks += [event.time + echo for event in run.events[known:] for echo in late]
 
 
 def segments(start: float, end: float, delays: list[float]) -> Iterator[tuple[float, float]]:
     """(begin, end) [s] of segments no longer than the shortest dead time.
 
     A signal that is constant before the start has a kink there. It comes back after each dead time and after each sum of them, smoother by one
-    order each time; the first five are ends of segments.
+    order each time; the first ``ORDERS`` are ends of segments.
     """
     span, least = end - start, min(delays)
-    late = sorted(sum(some) for count in range(1, 6) for some in combinations_with_replacement(delays, count))
-    marks = [0.0]
-    for mark in [*(d for d in late if d < (1 - 1e-9) * span), span]:
-        if mark - marks[-1] > 1e-9 * min(span, least):
-            marks.append(mark)
-    for a, b in pairwise(marks):
+    for a, b in pairwise(edges(0.0, span, echoes(delays), least)):
         count = max(int(np.ceil((b - a) / least - 1e-9)), 1)
         ends = (b if k == count else a + (b - a) * k / count for k in range(count + 1))
         yield from pairwise(start + edge for edge in ends)
+
+
+def echoes(delays: list[float]) -> list[float]:
+    """[s] after a kink: each dead time and each sum of up to ``ORDERS`` of them."""
+    return sorted(sum(some) for count in range(1, ORDERS + 1) for some in combinations_with_replacement(delays, count))
+
+
+def edges(begin: float, stop: float, marks: list[float], least: float) -> list[float]:
+    """``begin``, the marks between, and ``stop``, without marks that lie on another edge up to rounding; ``least``: the shortest dead time."""
+    out = [begin]
+    for mark in sorted(marks):
+        if mark - out[-1] > 1e-9 * min(stop - begin, least) and stop - mark > 1e-9 * (stop - begin):
+            out.append(mark)
+    return [*out, stop]

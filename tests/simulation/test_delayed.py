@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from math import factorial
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
 
 from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import Unsupported
 from mfc_analysis.loop import ClosedLoop
-from mfc_analysis.simulation.delayed import NODES, History, segments
+from mfc_analysis.simulation.delayed import NODES, History, echoes, edges, segments
 from mfc_analysis.trajectories import Hold, Sinusoid
 
 JOINT = robots.single_joint()
@@ -60,6 +62,20 @@ def test_both_sides_of_the_delay_margin_in_simulation(factor: float, grows: bool
     sim = loop.simulate(np.linspace(0, 12, 1201), q=rest + 1e-3)
     off = np.abs(sim.q[:, 0] - rest[0])
     assert (off[-200:].max() > off[200:400].max()) == grows
+
+
+def test_a_recorded_signal_that_jumps_is_read_on_the_side_of_the_segment_that_asks() -> None:
+    history = History(0.0, np.array([0.0]))
+    for start, height in ((0.0, 1.0), (0.5, 2.0)):
+        history.add(start, 0.5, np.full((NODES.size, 1), height))
+    assert [history.at(0.5, towards)[0] for towards in (-0.1, 0.0, 0.1)] == [1.0, 2.0, 2.0]
+    assert [history.at(0.0, towards)[0] for towards in (-0.1, 0.1)] == [0.0, 1.0]
+
+
+def test_edges_lie_apart() -> None:
+    assert edges(1.0, 2.0, [1.5, 1.2, 1.5 + 1e-13, 2.0 - 1e-12, 1.0, 0.5, 3.0], 0.1) == [1.0, 1.2, 1.5, 2.0]
+    assert edges(0.0, 1e3, [1e-6, 2e-6], 1e-6) == [0.0, 1e-6, 2e-6, 1e3]
+    assert_allclose(echoes([1.0, 10.0])[:6], [1, 2, 3, 4, 5, 10])
 
 
 def test_a_recorded_signal_is_read_back_by_interpolation_and_is_constant_before() -> None:
@@ -129,3 +145,67 @@ def test_a_dead_time_that_the_times_of_the_run_cannot_tell_apart_is_refused(hard
     with pytest.raises(Unsupported) as why:
         loop.simulate(np.array([1e9, 1e9 + 1.0]))
     assert why.value.argument == f"hardware.{next(iter(hardware))}"
+
+
+# --- dead time and one-sided contact -------------------------------------------------------------------------------------------
+
+
+def pressed_late(d: float, fd: float, times: np.ndarray) -> np.ndarray:
+    """(position, speed) of a slider of 1 kg under 9.23 with dead times d and fd, against a Kelvin-Voigt wall 2 mm away, by steps of its own.
+
+    Each piece ends at a touch, a lift, or a sum of dead times after one of these or after the start; every lookup is in one earlier piece.
+    """
+    k, c, gap, F_d, kfp, kdamp = 1e4, 60.0, 2e-3, 10.0, 1.0, 40.0
+    pieces: list[tuple[float, float, Any, bool]] = []
+
+    def state(t: float, side: float) -> tuple[np.ndarray, bool]:
+        if t + side < 0 or not pieces:
+            return np.array([0.0, 0.2]), False
+        begin, _, sol, touched = next(p for p in reversed(pieces) if p[0] <= t + side)
+        return sol(max(t, begin)), touched
+
+    def force(y: np.ndarray, touched: bool) -> float:
+        return max(0.0, k * (y[0] - gap) + c * y[1]) if touched else 0.0
+
+    def command(y: np.ndarray, touched: bool, t: float, side: float) -> float:
+        late = force(*state(t - fd, side)) if fd else force(y, touched)
+        return F_d + kfp * (F_d - late) - kdamp * y[1]
+
+    late = sorted({i * d + j * fd for i in range(7) for j in range(7) if i * d + j * fd > 0})
+    marks, t, y, touched, end = set(late), 0.0, np.array([0.0, 0.2]), False, float(times[-1])
+    while t < end - 1e-12:
+        stop = min([m for m in marks if m > t + 1e-10] + [end, t + min(x for x in (d, fd) if x)])
+        middle = 0.5 * (t + stop)
+
+        def rates(s: float, y: np.ndarray, touched: bool = touched, middle: float = middle) -> list[float]:
+            side = 1e-7 * np.sign(middle - s)
+            before = state(s - d, side)
+            u = command(*before, s - d, side) if d else command(y, touched, s, side)
+            return [y[1], u - force(y, touched)]
+
+        def penetration(s: float, y: np.ndarray) -> float:
+            return y[0] - gap
+
+        penetration.terminal, penetration.direction = True, -1 if touched else 1  # type: ignore[attr-defined]
+        found = solve_ivp(rates, (t, stop), y, method="DOP853", rtol=1e-11, atol=1e-13, events=penetration, dense_output=True)
+        pieces.append((t, float(found.t[-1]), found.sol, touched))
+        t, y = float(found.t[-1]), found.y[:, -1]
+        if found.status == 1:
+            touched = not touched
+            marks |= {t + x for x in late}
+    return np.stack([state(float(s), 0.0)[0] for s in times])
+
+
+@pytest.mark.parametrize(("delay", "force_delay"), [(0.0, 5e-3), (5e-3, 0.0), (3e-3, 5e-3)])
+def test_the_jump_of_a_force_at_the_touch_comes_back_through_every_dead_time(delay: float, force_delay: float) -> None:
+    X = np.array(robots.slider(1.0).pose([0.0]))
+    X[2, 3] += 2e-3
+    wall = Environment(1e4, 60.0, pose=X, one_sided=True)
+    law = L.DampedForcePI([0, 0, 10.0, 0, 0, 0], 1.0, 0.0, 40.0)
+    loop = ClosedLoop(robots.slider(1.0), law, Hold([0.0]), environment=wall, hardware=Hardware(delay=delay or None, force_delay=force_delay or None))
+    sim = loop.simulate(np.linspace(0, 0.08, 81), v=[0.2], rtol=1e-10, atol=1e-12)
+    right = pressed_late(delay, force_delay, sim.t)
+    assert any(event.kind == "touch" for event in sim.events)
+    close = 1e-7 if delay and force_delay else 1e-10  # five dead times are two round trips: kinks of the third order lie within segments
+    assert_allclose(sim.q[:, 0], right[:, 0], rtol=0, atol=close)
+    assert_allclose(sim.v[:, 0], right[:, 1], rtol=0, atol=100 * close)

@@ -50,8 +50,9 @@ def checked(loop: ClosedLoop) -> str:
         return "moving"
     found = loop.equilibrium()
     apart = float(np.abs(found.q - run.q[-1]).max())
+    left = 2 * np.abs(run.v[-1]).max() / -loop.linearize(about="equilibrium").poles()[0].real.max()  # what the slowest root still has to go
     balance = np.abs(loop.equations.rates(0.0, found.x)).max()
-    right = apart < 1e-6 * (1 + 1e6 * np.abs(run.v[-1]).max()) and balance < 1e-6 and found.stable
+    right = apart < 1e-6 + left and balance < 1e-6 and found.stable
     return "" if right else f"{apart:.3g} rad from where the loop rests; rates {balance:.3g}; stable {found.stable}; {found.notes}"
 
 
