@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.arrays import Array
 
 LEAST = 1e-9  #: [N, Nm] elastic force at which an axis is touched (softer than 1 N/m: at this depth [m, rad]); the lift is at 0
@@ -40,8 +41,11 @@ class Touching:
         return np.array([found[i][j] for i, j, _ in self.watched])
 
     def _left(self, x: Array) -> Array:
-        """(watched axes,) how far the elastic force is from the next event; it falls to 0 there."""
-        elastic = self._elastic(x)
+        """(watched axes,) how far the elastic force is from the next event; it falls to 0 there. inf where it has none: the rates say why."""
+        try:
+            elastic = self._elastic(x)
+        except MfcError:
+            return np.full(len(self.watched), np.inf)
         return np.where([self.axes[i][j] for i, j, _ in self.watched], elastic, self.least - elastic)
 
     def change(self) -> Callable[[float, Array], float]:
@@ -69,7 +73,7 @@ class Touching:
         """The events at (t, x), where ``change`` has found one; from here on their axes are touched or not."""
         left = self._left(x)
         events = []
-        for k in np.flatnonzero(left <= max(0.0, float(left.min()))):
+        for k in np.flatnonzero((left <= max(0.0, float(left.min()))) & np.isfinite(left)):
             i, j, name = self.watched[k]
             self.axes[i][j] = not self.axes[i][j]
             events.append(Event(t, "touch" if self.axes[i][j] else "lift", i, name))

@@ -154,6 +154,15 @@ def test_an_axis_with_a_damper_alone_is_never_touched_and_a_constant_force_alway
     assert_allclose(constant.force[:, 2], 3.0)
 
 
+@pytest.mark.parametrize("method", ["LSODA", "RK45"])
+def test_a_run_ends_in_words_where_the_rotation_of_a_stop_is_no_longer_defined(method: str) -> None:
+    stop = Environment(1e-3, 0.0, axes="rxryrz", one_sided=True)
+    loop = ClosedLoop(robots.single_joint(inertia=1.0, mass=0.0, damping=0.0), L.JointPID(0.0), Hold([0.0]), environment=stop)
+    sim = loop.simulate(1.0, v=[5.0], method=method)
+    assert sim.outcome.name == "REFUSED" and "pi" in sim.message
+    assert_allclose(sim.end, np.pi / 5, rtol=1e-3)
+
+
 def test_the_axes_start_as_the_state_is_and_switch_with_the_events() -> None:
     walls = [Environment(K, pose=lifted(z), one_sided=z >= 0) for z in (-0.01, 0.0, 0.02)]
     e = ClosedLoop(robots.slider(M), L.OpenLoopForce(np.zeros(6)), Hold([0.0]), environment=walls).equations
