@@ -139,7 +139,10 @@ def contact(surfaces: Sequence[Environment], model: Primitives, q: Vector, v: Ve
 
 
 def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool | Bools) -> tuple[Vector, Vector, Array]:
-    """F_tip of one surface, its force in the compliance frame and the elastic part. A moment is power-conjugate to the rotation vector: J^T of its rate J w."""
+    """F_tip of one surface, its force in the compliance frame and the elastic part.
+
+    A moment is power-conjugate to the rotation vector: J^T of its rate J w.
+    """
     assert surface.pose is not None
     Re, pe = surface.pose[:3, :3], surface.pose[:3, 3]
     size = 6 if max(surface.index) > 2 else 3  # without rotations no logarithm is needed, and any angle is allowed

@@ -161,13 +161,13 @@ class Run:
         options = dict(self.options)
         if short and options["method"] == "LSODA":
             options.update(method="DOP853" if options["rtol"] < 1e-8 else "RK45", first_step=end - start)
-        if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
-            options["jac"] = self._counted(jac)
         if self.touching is not None:
             options["max_step"] = CONTACT_STEP
 
         def solve(guard: Guard, options: dict[str, Any]) -> Any:
             f = guard(rates, cost + SOLVER[options["method"]] / self.price)
+            if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
+                options["jac"] = self._counted(jac)
             events = [self._far(), self._used_up(), *([] if self.touching is None else [self.touching.change()])]
             with np.errstate(all="ignore"):
                 return solve_ivp(f, (start, end), x, dense_output=True, events=events, **options)
