@@ -171,8 +171,8 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool | Bools)
     linear, turn = X.twist[..., :3, :], X.twist[..., 3:, :]
     dV = V.tangent if isinstance(V, Dual) else np.zeros_like(X.twist)
     depths, rates = C @ linear, C @ (dV[..., :3, :] - hat(v) @ turn)
+    angles = J @ turn if size == 6 else turn
     if size == 6:
-        angles = J @ turn
         depths = np.concatenate([depths, angles], axis=-2)
         rates = np.concatenate([rates, J @ dV[..., 3:, :] + Jlog3_slope(angle, w) @ angles], axis=-2)
     df = pushes[..., None] * (K @ depths + B @ rates)
