@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm, lapack, matrix_balance, schur
+from scipy.linalg import expm, get_lapack_funcs, matrix_balance, schur
 
-from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
+from mfc_analysis.maths.arrays import Array, Complex, Ints
 
 GAPS = (1e-4, 1e-3, 1e-2, 0.1, 0.5)  #: relative distances below which two eigenvalues share a mode, tried in turn
 COUPLED = 1e4  #: largest amplification of a mode against the others
@@ -51,7 +51,7 @@ class Mode:
         chain[:k, :k], chain[:k, k:] = self.T, np.eye(k)
         if dt:
             return np.asarray(np.linalg.matrix_power(np.eye(2 * k) + dt * chain, max(0, round(time / dt)))[:k, k:])
-        return np.asarray(expm(chain * time)[:k, k:])
+        return np.asarray(expm(chain * time)[:k, k:], np.complex128)
 
 
 def modes(A: Array) -> list[Mode]:
@@ -60,20 +60,19 @@ def modes(A: Array) -> list[Mode]:
     if not n:
         return []
     balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    T, U = schur(balanced, output="complex")
-    size = float(np.abs(balanced).max(initial=0.0))
-    for gap in (*GAPS, np.inf):
-        label = _together(np.diag(T), gap)
-        R, V, W, order = _decoupled(T, U, label)
-        grown = [float(np.linalg.norm(V[:, order == j], 2) * np.linalg.norm(W[order == j], 2)) for j in range(label.max() + 1)]
+    found: Any = schur(balanced, output="complex")
+    T, U = found[0], found[1]
+    size = ROUNDING * float(np.abs(balanced).max(initial=0.0))
+    gaps = iter((*GAPS, np.inf))
+    while True:
+        gap = next(gaps)
+        R, V, W, order = _decoupled(T, U, _together(np.diag(T), gap))
+        masks = [np.asarray(order == j) for j in range(int(order.max()) + 1)]
+        grown = [float(np.linalg.norm(V[:, at], 2) * np.linalg.norm(W[at], 2)) for at in masks]
         if max(grown) <= COUPLED or np.isinf(gap):
             break
-    V, W = scale[:, None] * V, W / scale
-    return [Mode(R[np.ix_(at, at)], V[:, at], W[at], ROUNDING * size * g) for at, g in zip(_masks(order), grown, strict=True)]
-
-
-def _masks(order: Ints) -> list[Bools]:
-    return [np.asarray(order == j) for j in range(int(order.max()) + 1)]
+    right, left = np.asarray(scale[:, None] * V, np.complex128), np.asarray(W / scale, np.complex128)
+    return [Mode(np.asarray(R[np.ix_(at, at)]), right[:, at], left[at], size * g) for at, g in zip(masks, grown, strict=True)]
 
 
 def _together(s: Complex, gap: float) -> Ints:
@@ -89,17 +88,19 @@ def _together(s: Complex, gap: float) -> Ints:
 def _decoupled(T: Complex, U: Complex, label: Ints) -> tuple[Complex, Complex, Complex, Ints]:
     """Schur form with the eigenvalues of each mode side by side, right and left bases that decouple the modes, and the order of their numbers."""
     order, n = label.copy(), len(T)
+    lapack: Any = get_lapack_funcs(("trsen", "trsyl"), dtype=np.complex128)
+    reorder, sylvester = lapack
     T, U = np.array(T, np.complex128), np.array(U, np.complex128)
     for j in range(int(label.max())):
         chosen = order <= j
         if not chosen[: chosen.sum()].all():
-            found: Any = lapack.ztrsen(chosen.astype(np.int32), T, U, job=b"N", lwork=max(1, 2 * n * n))
+            found = reorder(chosen.astype(np.int32), T, U, job=b"N", lwork=max(1, 2 * n * n))
             T, U = found[0], found[1]
             order = np.concatenate([order[chosen], order[~chosen]])
     right, left = U.copy(), U.conj().T.copy()
     for j in range(int(label.max())):
         one, rest = order == j, order > j
-        answer: Any = lapack.ztrsyl(T[np.ix_(one, one)], T[np.ix_(rest, rest)], -T[np.ix_(one, rest)], isgn=-1)
+        answer = sylvester(T[np.ix_(one, one)], T[np.ix_(rest, rest)], -T[np.ix_(one, rest)], isgn=-1)
         R = answer[0] / answer[1]
         right[:, rest] += right[:, one] @ R
         left[one] -= R @ left[rest]
