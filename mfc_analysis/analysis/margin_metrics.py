@@ -66,6 +66,10 @@ def assembled(gain: Crossings, phase: Crossings, arc: Crossings, at_infinity: Ar
     delay, delay_at = np.full(shape, np.inf), np.full(shape, np.inf)
     _least(phase_deg, crossover, gain.point, gain.channel, np.degrees(np.abs(turn)), rads)
     _least(delay, delay_at, gain.point, gain.channel, lag / rads, rads)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        direct = np.abs(at_infinity / (1 + at_infinity)) >= 1
+    if np.isinf(to_rads(np.array([np.inf]))[0]):  # a continuous loop: with any dead time it has a chain of roots in the right half plane
+        delay[direct], delay_at[direct] = 0.0, np.inf
     return {
         "gain_reduction": -reduction + 0.0,
         "gain_increase": increase,

@@ -13,6 +13,7 @@ from mfc_analysis.analysis.channels import Channels
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, assembled, frequency, put
 from mfc_analysis.analysis.margins import margins
+from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem
 from tests.analysis.conftest import open_system
 
@@ -163,3 +164,19 @@ def with_zeros(system: OpenSystem, chain: np.ndarray, driven: float) -> OpenSyst
         C=np.pad(system.C, ((0, 0), (0, 0), (0, k))),
         state_names=(*system.state_names, *(f"free{i}" for i in range(k))),
     )
+
+
+@pytest.mark.parametrize(("direct", "tolerates"), [(1.5, False), (-1.2, False), (0.8, True)])
+def test_a_direct_gain_of_one_or_more_tolerates_no_dead_time_at_all(direct, tolerates):
+    """With e^(-sT) round it, however short, the roots of 1 + L(inf) e^(-sT) = 0 lie at ln|L(inf)| / T > 0."""
+    L = direct * (s + 1) / (s + 4)
+    found = margins(open_system(L), "torque")
+    assert found.stable[0]
+    assert bool(found.delay[0, 0] > 0) is tolerates
+    for T in (1e-6, 1e-3):
+        assert bool(stability(open_system(L, delay=T)).nonzero_stable[0]) is tolerates
+
+
+def test_the_direct_gain_of_a_sampled_loop_is_no_feedthrough_round_a_dead_time():
+    found = margins(open_system(control.tf([1.5, 0], [1, 0.2], 0.01)), "torque")
+    assert found.stable[0] and found.delay[0, 0] > 0
