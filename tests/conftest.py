@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -19,6 +20,8 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import exp6
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold, Sinusoid
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the worker processes, which start later: they share the cores already
 
 # the same examples at every run, and no clock: a failure is one that anyone can repeat
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
