@@ -4,8 +4,8 @@ With the ordered complex Schur form of the balanced A and one triangular Sylvest
 
     A = sum_j right_j T_j left_j,    left_j right_j = I,    left_j right_k = 0,
 
-T_j upper triangular. Eigenvalues closer together than a gap share a mode; the gap grows until no mode is amplified by more than ``COUPLED``, so
-that multiple eigenvalues, with which eigenvectors are worth nothing, stay together.
+T_j upper triangular. Eigenvalues closer together than a gap share a mode; the gap grows until no mode is amplified much, so that
+multiple eigenvalues, with which eigenvectors are worth nothing, stay together.
 
 Source: Bavely & Stewart, "An algorithm for computing reducing subspaces by block diagonalization", SIAM J. Numerical Analysis 16 (1979) 359-367.
 """
@@ -21,7 +21,8 @@ from scipy.linalg import expm, get_lapack_funcs, matrix_balance, schur
 from mfc_analysis.maths.arrays import Array, Complex, Ints
 
 GAPS = (1e-4, 1e-3, 1e-2, 0.1, 0.5)  #: relative distances below which two eigenvalues share a mode, tried in turn
-COUPLED = 1e4  #: largest amplification of a mode against the others
+COUPLED = 1e4  #: amplification of a mode against the others with which a gap is good enough; else the gap with the least
+SPLIT = 1e-7  #: of the size of A: eigenvalues that rounding may have split off a multiple one at zero
 ROUNDING = 100 * float(np.finfo(float).eps)  #: of the size of A, times that amplification: an eigenvalue's error
 
 
@@ -54,32 +55,35 @@ class Mode:
         return np.asarray(expm(chain * time)[:k, k:], np.complex128)
 
 
-def modes(A: Array) -> list[Mode]:
-    """The modes of A (nx, nx)."""
-    n = len(A)
-    if not n:
+def modes(A: Array, radius: float = 0.0) -> list[Mode]:
+    """The modes of A (nx, nx). No mode has eigenvalues on both sides of abs(s) = ``radius`` [1/s]; those that rounding may split are together."""
+    if not len(A):
         return []
     balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
     found: Any = schur(balanced, output="complex")
     T, U = found[0], found[1]
-    size = ROUNDING * float(np.abs(balanced).max(initial=0.0))
-    gaps = iter((*GAPS, np.inf))
-    while True:
-        gap = next(gaps)
-        R, V, W, order = _decoupled(T, U, _together(np.diag(T), gap))
+    size = float(np.abs(balanced).max(initial=0.0))
+    best: tuple[float, Any] = (np.inf, None)
+    for gap in GAPS:
+        R, V, W, order = _decoupled(T, U, _together(np.diag(T), gap, radius, min(radius, SPLIT * size)))
         masks = [np.asarray(order == j) for j in range(int(order.max()) + 1)]
         grown = [float(np.linalg.norm(V[:, at], 2) * np.linalg.norm(W[at], 2)) for at in masks]
-        if max(grown) <= COUPLED or np.isinf(gap):
+        if max(grown) < best[0]:
+            best = max(grown), (R, V, W, masks, grown)
+        if max(grown) <= COUPLED:
             break
+    R, V, W, masks, grown = best[1]
     right, left = np.asarray(scale[:, None] * V, np.complex128), np.asarray(W / scale, np.complex128)
-    return [Mode(np.asarray(R[np.ix_(at, at)]), right[:, at], left[at], size * g) for at, g in zip(masks, grown, strict=True)]
+    return [Mode(np.asarray(R[np.ix_(at, at)]), right[:, at], left[at], ROUNDING * size * g) for at, g in zip(masks, grown, strict=True)]
 
 
-def _together(s: Complex, gap: float) -> Ints:
-    """(n,) number of the mode of each eigenvalue: two within ``gap`` of their size share one, and so do chains of them."""
-    with np.errstate(invalid="ignore"):
-        near = np.abs(s[:, None] - s) <= gap * np.maximum(np.abs(s[:, None]), np.abs(s))
-    near |= np.eye(len(s), dtype=bool) | np.isinf(gap)
+def _together(s: Complex, gap: float, radius: float, split: float) -> Ints:
+    """(n,) number of the mode of each eigenvalue: two within ``gap`` of their size, or both below ``split``, share one, and so do chains of them."""
+    size = np.abs(s)
+    near = np.abs(s[:, None] - s) <= gap * np.maximum(size[:, None], size)
+    near |= (size[:, None] <= split) & (size <= split)
+    near &= (size[:, None] < radius) == (size < radius)
+    near |= np.eye(len(s), dtype=bool)
     for _ in range(len(s).bit_length()):
         near = near @ near
     return np.asarray(np.unique(near.argmax(axis=1), return_inverse=True)[1])

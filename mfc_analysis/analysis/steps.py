@@ -17,7 +17,7 @@ from mfc_analysis.analysis.delay.roots import delay_roots
 from mfc_analysis.analysis.delay.steps import delayed_runner, longest_step
 from mfc_analysis.analysis.modal_response import ModalPieces, Term, term
 from mfc_analysis.analysis.modes import Mode, modes
-from mfc_analysis.analysis.slow import KEEPS_MOVING, MOVES
+from mfc_analysis.analysis.slow import MOVES
 from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.step_run import BAND, METRICS, Piece, metrics
@@ -129,7 +129,7 @@ class Point:
     def modes(self) -> list[Mode]:
         """Of the rates: of A, or (A - I) / dt."""
         A, dt = self.closed[0], self.system.dt
-        return modes((A - np.eye(len(A))) / dt if dt else A)
+        return modes((A - np.eye(len(A))) / dt if dt else A, self.system.radius)
 
     @cached_property
     def known(self) -> Spectrum:
@@ -163,22 +163,22 @@ class Point:
         return Step(t, y, system.input_names[into], system.output_names[out], float(system.times[0]), outcome, steady, settling_band=BAND, **found)
 
     def _end(self, into: int, out: int) -> _End:
-        """The final value, on which dead time has no effect. A slow mode that rounding cannot tell from zero leaves no trace, or ramps."""
+        """The final value, on which dead time has no effect. A slow mode that is not sure to decay leaves no trace, or ramps."""
         if not self.others_decay:
             return _End(Outcome.GROWS)
         system, dt = self.system, self.system.dt
         _, B, C, D = self.closed
         b, c, d = B[:, into] / (dt or 1.0), C[out], float(D[out, into])
-        slow = [bool((np.abs(rates(1 + dt * mode.rates if dt else mode.rates, dt)) < system.radius).all()) for mode in self.modes]
+        slow = [bool((np.abs(mode.rates) < system.radius).all()) for mode in self.modes]
         loose = [mode for mode, creeps in zip(self.modes, slow, strict=True) if creeps and not mode.decays(dt)]
         terms = tuple(term(mode, b, c, dt) for mode in self.modes if mode not in loose)
         settled = np.array([float((one.g @ one.v).real) for one in terms])
         steady = d - settled.sum()
         horizon = system.horizon if np.isfinite(system.horizon) else 1.0
-        moved, half = (sum(float((c @ m.right @ m.integral(t, dt) @ m.left @ b).real) for m in loose) for t in (horizon, horizon / 2))
+        moved = [sum(float((c @ m.right @ m.integral(t, dt) @ m.left @ b).real) for m in loose) for t in (horizon, horizon / 2)]
         scale = sum(one.size for one in terms) + abs(d)
-        if abs(moved) > MOVES * scale + 1e-300 and abs(moved) > KEEPS_MOVING * abs(half):
-            return _End(Outcome.RAMPS, float(np.copysign(np.inf, moved)))
+        if max(map(abs, moved)) > MOVES * scale + 1e-300:
+            return _End(Outcome.RAMPS, float(np.copysign(np.inf, moved[0])))
         if abs(steady) < 1e-13 * (np.abs(settled).sum() + abs(d)):
             steady = 0.0
         return _End(Outcome.SETTLES, float(steady), terms, sum(slow) > len(loose))

@@ -51,3 +51,17 @@ def test_the_integral_of_a_mode_is_its_answer_to_a_step(dt: float) -> None:
 
 def test_no_states_no_modes() -> None:
     assert modes(np.zeros((0, 0))) == []
+
+
+def test_slow_and_fast_eigenvalues_are_never_in_one_mode_and_split_zeros_are() -> None:
+    rng = np.random.default_rng(3)
+    loose = np.kron(np.eye(3), [[0.0, 1.0], [0.0, 0.0]])  # three free positions that glide
+    A = np.zeros((9, 9))
+    A[:6, :6], A[:6, 6:], A[6:, 6:] = loose, 1e3 * rng.normal(size=(6, 3)), np.diag([-0.011, -5.0, -4e4])
+    scale = 10 ** rng.uniform(-3, 3, 9)
+    A = scale[:, None] * A / scale
+    found = modes(A, radius=0.01)
+    sizes = [np.abs(m.rates) for m in found]
+    assert all((x < 0.01).all() or (x >= 0.01).all() for x in sizes)
+    assert sum(len(x) for x in sizes if (x < 0.01).all()) == 6
+    assert_allclose(sum(m.right @ m.T @ m.left for m in found), A, atol=1e-8 * np.abs(A).max())

@@ -17,6 +17,7 @@ from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.errors import BadArgument, UnknownName
 from tests.analysis.conftest import open_system, random_loops
 from tests.soak.steps import wrong
+from tests.test_arms import loops
 
 s = control.tf("s")
 
@@ -183,6 +184,19 @@ def test_a_slow_root_that_decays_counts_and_where_it_keeps_the_response_outside_
         if outcome is Outcome.SETTLES:
             settled = brentq(lambda t, p=part: (1 - p) * np.exp(-t) + p * np.exp(-0.005 * t) - 0.02, 1, 10)
             assert_allclose([found.steady_state, found.settling], [1.0, settled], rtol=1e-9)
+
+
+def test_a_free_direction_that_keeps_moving_within_the_horizon_ramps_whatever_its_path():
+    """Arms on one smooth wall slide under a torque: slow roots of which rounding splits several at zero; nothing raised, nothing "settles"."""
+    for arm, seed, force in (("panda", 3, "9.23 on z"), ("ur10", 4, "9.23 on z"), ("kinova", 5, "9.22 on xz")):
+        for kind in ("ideal", "lag", "sampled"):
+            loop = next(loop for name, _, loop in loops(arm, seed, [kind]) if name == force)
+            lin = loop.linearize()
+            j = lin.opened.input_names.index(f"disturbance_{loop.robot.joint_names[1]}")
+            outcomes = {step(lin.opened, 0, j, f"q_{one}").outcome for one in loop.robot.joint_names}
+            assert outcomes <= {Outcome.RAMPS, Outcome.SETTLES, Outcome.GROWS}
+            if lin.stability.nonzero_stable[0]:
+                assert Outcome.RAMPS in outcomes
 
 
 @pytest.mark.parametrize("seed", range(12))
