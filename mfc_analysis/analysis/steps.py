@@ -32,7 +32,7 @@ MOST_SAMPLES = 60_000_000  #: of a sampled loop
 BLOCK = 4096  #: samples computed at once
 DIED = 14.0  #: time constants of the slowest characteristic root in a run with dead time,
 ROOTS = 8  #: of those that are looked at
-AFFORDED = 200_000  #: steps of such a run
+AFFORDED = 50_000  #: steps of such a run, unless it takes more to settle
 
 
 class Outcome(enum.Enum):
