@@ -215,7 +215,7 @@ class Point:
             return enough
         enough = max(enough, 10 * float(system.wire_delay.max()))
         growth = float(delay_roots(system, 1)[0, 0].real) if not self.others_decay else 0.0
-        return max(enough, min(3 / growth, 20 * enough)) if growth > 0 else enough
+        return min(max(enough, min(3 / growth, 20 * enough)) if growth > 0 else enough, AFFORDED * longest_step(system))
 
     def _samples(self, duration: float) -> int:
         if self.system.dt:

@@ -14,6 +14,7 @@ from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.steps import Outcome, step
 from mfc_analysis.analysis.system import OpenSystem
 from tests.analysis.conftest import open_system, random_loops
+from tests.test_arms import loops
 
 s = control.tf("s")
 
@@ -86,3 +87,11 @@ def test_beyond_its_delay_margin_the_response_grows():
     found = step(plain_integrator(2.0, 0.8), 0, "d", "x")
     assert found.outcome is Outcome.GROWS and np.isnan(found.settling)
     assert np.abs(found.y[-found.y.size // 4 :]).max() > 2 * np.abs(found.y[: found.y.size // 4]).max()
+
+
+def test_a_response_that_does_not_settle_is_shown_as_far_as_steps_are_afforded():
+    """An arm that slides along a wall, its drives 1 ms late: eight of its slowest time constants would take millions of steps."""
+    for arm in ("panda", "ur10"):
+        loop = next(loop for name, _, loop in loops(arm, 1, ["dead time"]) if name == "9.23 on z")
+        found = step(loop.linearize().opened, 0, 0, 0)
+        assert found.outcome is not Outcome.SETTLES and np.isfinite(found.y[:1000]).all() and found.t[-1] > 0.1
