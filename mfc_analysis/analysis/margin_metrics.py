@@ -82,6 +82,11 @@ def assembled(gain: Crossings, phase: Crossings, arc: Crossings, at_infinity: Ar
     }
 
 
+def also_late(metrics: dict[str, Array], found: Crossings, delay: Array) -> None:
+    """Take the dead times ``delay`` (k,) [s] into the delay margin, which move a root to the places found on the arc (``arc_delays``)."""
+    _least(metrics["delay"], metrics["delay_frequency"], found.point, found.channel, delay, found.w)
+
+
 def _least(best: Array, best_at: Array, point: Ints, channel: Ints, value: Array, at: Array) -> None:
     """Sets best[point, channel] to the minimum of itself and the values (NaN: none), and best_at to its location."""
     some = np.isfinite(value)

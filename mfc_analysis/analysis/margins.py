@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, continuous
 from mfc_analysis.analysis.delay.margins import delayed_metrics
-from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, places
+from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delays, places
 from mfc_analysis.analysis.frequency.crossings import crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, sensitivity_peak, thinned
 from mfc_analysis.analysis.frequency.resolvent import resolvent
-from mfc_analysis.analysis.margin_metrics import MarginMetrics, assembled, frequency, put
+from mfc_analysis.analysis.margin_metrics import MarginMetrics, also_late, assembled, frequency, put
 from mfc_analysis.analysis.spectrum import rates, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
@@ -182,9 +182,12 @@ def _metrics(ch: Channels, radius: float, modes: Modes) -> MarginMetrics:
     gain, phase = crossings(found, w, H)
     at = places(radius, dt)
     theta = angles(rates(modes[0], dt), radius)
-    arc = arc_crossings(radius, theta, found.over(at(theta)), at, lambda point, channel, s: found.at_place(point, channel, s)[0])
+    on_arc = found.over(at(theta))
+    arc = arc_crossings(radius, theta, on_arc, at, lambda point, channel, s: found.at_place(point, channel, s)[0])
     peak, peak_at = sensitivity_peak(found, w, H)
     metrics = assembled(gain, phase, arc, found.ch.H0, lambda w: frequency(w, dt))
+    if not dt:
+        also_late(metrics, *arc_delays(theta, on_arc, at, lambda point, channel, s: found.at_place(point, channel, s)[0], metrics["delay"]))
     return MarginMetrics(**metrics, sensitivity_peak=np.maximum(peak, 1.0), peak_frequency=frequency(peak_at, dt))
 
 

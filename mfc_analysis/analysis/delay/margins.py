@@ -20,11 +20,11 @@ import numpy as np
 from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
 from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points
 from mfc_analysis.analysis.delay.count import unstable_roots
-from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, places
+from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delays, places
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
 from mfc_analysis.analysis.frequency.resolvent import CONDITION
-from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, assembled
+from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, also_late, assembled
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
@@ -117,27 +117,28 @@ def _metrics(point: _Point, ch: Channels, cut: Delayed, radius: float) -> dict[s
     w = thinned(frequencies_of_interest(poles[None], radius), poles[None])[0]
     axis = unstable_roots(cut, radius)[1].s.imag if cut.in_a_loop else w
     w = np.union1d(w, axis[(axis >= radius) & (axis <= w[-1])])
-    low_end, high = radius, max(float(w[-1]), 3 * np.pi / float(cut.T.min()))
-    searched = w
+    low_end, high = radius, max(3 * radius, 3 * np.pi / float(cut.T.max()))
     at, theta = places(radius, 0.0), angles(poles[None], radius)
-    arc = arc_crossings(radius, theta, point.H(at(theta[0]))[None], at, lambda _, channel, s: point.one(channel, s))
+    on_arc = point.H(at(theta[0]))[None]
+    arc = arc_crossings(radius, theta, on_arc, at, lambda _, channel, s: point.one(channel, s))
     gain: list[tuple[Ints, Array, Complex]] = []
     phase: list[tuple[Ints, Array, Complex]] = []
     end = np.abs(1 + point.H(on_axis(np.array([radius])))[:, 0])
     peaks = end, np.full(end.size, radius)
     metrics: dict[str, Array] = {}
     for _ in range(6):
-        piece = _resolved(searched, low_end, high, float(cut.T.max()))
+        piece = _resolved(w, low_end, high, float(cut.T.max()))
         H = point.H(on_axis(piece))
         piece, H = _refined(point, piece, H)
         gain.append(_crossings(point, piece, H, gain=True))
         phase.append(_crossings(point, piece, H, gain=False))
         peaks = _peaks(point, piece, H, *peaks)
         metrics = assembled(_joined(gain), _joined(phase), arc, ch.H0, lambda x: x)
-        further = _needed(point, high, metrics["gain_increase"][0])
+        further = _needed(point, w, high, metrics["gain_increase"][0])
         if further <= high or piece.size >= MOST:
             break
-        low_end, searched, high = high, np.array([high, further]), further
+        low_end, high = high, further
+    also_late(metrics, *arc_delays(theta, on_arc, at, lambda _, channel, s: point.one(channel, s), metrics["delay"]))
     far = np.abs(1 + ch.H0[0])
     better = far >= peaks[0] * (1 - 1e-12)
     peak, where = np.where(better, far, peaks[0]), np.where(better, np.inf, peaks[1])
@@ -148,8 +149,8 @@ def _resolved(w: Array, low: float, high: float, longest: float) -> Array:
     """Frequencies w in [low, high], in steps with a small phase change of e^(-jwT) and a small logarithmic change."""
     count = int(min(MOST, np.ceil((high - low) * longest / TURN) + 2))
     even = np.linspace(low, high, count)
-    start = max(low, float(w[w > 0].min()))
-    spread = np.geomspace(start, high, max(2, int(30 * np.log10(high / start)) + 2)) if high > start else np.array([high])
+    start = low or min(float(w[w > 0].min()), high)
+    spread = np.geomspace(start, high, int(30 * np.log10(high / start)) + 2)
     every = np.unique(np.concatenate([w[(w >= low) & (w <= high)], even, spread]))
     return np.asarray(every[every > 0])
 
@@ -246,13 +247,14 @@ def _joined(parts: list[tuple[Ints, Array, Complex]]) -> Crossings:
     return Crossings(np.zeros(channel.size, np.int64), channel, w, H)
 
 
-def _needed(point: _Point, high: float, increase: Array) -> float:
-    """[rad/s] up to which a crossing could limit a margin: |L| >= 1, or a gain below the increase found so far."""
-    w = np.geomspace(high, 64 * high, 100)
+def _needed(point: _Point, w: Array, high: float, increase: Array) -> float:
+    """[rad/s] up to which a crossing could limit a margin: |L| >= 1, or a gain below the increase found so far. ``w`` resolves the poles."""
+    last = max(64 * high, float(w[-1]))
+    w = np.union1d(np.geomspace(high, last, int(25 * np.log10(last / high)) + 2), w[w > high])
     H = point.H(on_axis(w))
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(H / (1 + H))
     binds = size >= np.minimum(1.0, 0.98 / increase)[:, None]
     binds &= size > 1e-4
-    last = np.flatnonzero(binds.any(axis=0))
-    return float(w[min(last[-1] + 1, w.size - 1)]) if last.size else high
+    at = np.flatnonzero(binds.any(axis=0))
+    return float(w[min(at[-1] + 1, w.size - 1)]) if at.size else high

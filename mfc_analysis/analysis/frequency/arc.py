@@ -1,6 +1,8 @@
 """The indentation of Nyquist's contour at the origin: the arc s = radius e^(j theta), 0 <= theta <= pi/2, through which slow roots leave.
 
 A root of 1 + f L on the arc at a real gain f needs L real there: Im H = 0, H = S - 1. At theta = 0 this always holds.
+A root of 1 + e^(-s tau) L on the arc needs tau = ln|L| / Re s and arg(-L) = tau Im s. At theta = 0 none can come to lie: L(radius) < -1
+there is an unstable real root already.
 """
 
 from __future__ import annotations
@@ -10,12 +12,15 @@ from collections.abc import Callable
 import numpy as np
 
 from mfc_analysis.analysis.frequency.crossings import Crossings
-from mfc_analysis.maths.arrays import Array, Complex, Ints
+from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 FIRST = (0.0, 1e-4, 1e-3, 1e-2, 0.03)  #: angles on the arc: at 0 L is real, just above it a pair of roots may pass,
 EVEN = 9  #: even ones,
 AROUND = np.array([-3.0, -1.0, 0.0, 1.0, 3.0])  #: and around each pole near it, in units of its distance
 NEAR = 4.0  #: a pole within this factor of the radius lies near the arc
+PARTS = 16  #: of a step between angles where dead time may move a root to the arc
+BELOW = 1.5  #: logarithm by which L may be below one at an end of such a step
+ON = 1e-6  #: distance of L from -1 up to which a root lies there
 
 Place = Callable[[Array], Complex]  # angles -> s (or w of a sampled loop)
 Evaluate = Callable[[Ints, Ints, Complex], Complex]  # point, channel and s (k,) -> H (k,)
@@ -49,24 +54,72 @@ def arc_crossings(radius: float, theta: Array, H: Complex, at: Place, evaluate: 
 
     ``H``: (m, n, k) at the angles ``theta`` (m, k), of which the first is 0.
     """
-    f = H.imag
-    point, channel, k = np.nonzero(((f[..., 1:-1] >= 0) != (f[..., 2:] >= 0)) & (theta[:, None, 1:-1] > 0))
-    a, b = theta[point, k + 1], theta[point, k + 2]
-    fa, fb = f[point, channel, k + 1], f[point, channel, k + 2]
-    x, found = b.copy(), H[point, channel, k + 2]
-    for _ in range(50):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            secant = (a * fb - b * fa) / (fb - fa)
-        x = np.where((secant > a) & (secant < b), secant, (a + b) / 2)
-        found = evaluate(point, channel, at(x))
-        right = (found.imag >= 0) == (fb >= 0)
-        fa, fb = np.where(right, fa / 2, found.imag), np.where(right, found.imag, fb / 2)
-        a, b = np.where(right, a, x), np.where(right, x, b)
-        if np.all((np.abs(found.imag) <= 1e-13 * np.abs(found)) | (b - a <= 1e-13)):
-            break
-    m, n = f.shape[:2]
+    point, channel, x, found = _zeros(theta, H, at, evaluate, lambda H, _: np.asarray(H.imag), np.ones((*H.shape[:2], H.shape[2] - 1), bool))
+    m, n = H.shape[:2]
     every = np.indices((m, n)).reshape(2, -1)
     return Crossings(
         np.concatenate([every[0], point]), np.concatenate([every[1], channel]), np.concatenate([np.zeros(m * n), radius * np.sin(x)]),
         np.concatenate([H[..., 0].real.ravel().astype(np.complex128), found]),
     )  # fmt: skip
+
+
+def arc_delays(theta: Array, H: Complex, at: Place, evaluate: Evaluate, limit: Array) -> tuple[Crossings, Array]:
+    """Places on the arc of a continuous loop to which a dead time moves a root, and that dead time (k,) [s], as far as below ``limit`` (m, n).
+
+    ``H`` as above.
+    """
+    place = np.broadcast_to(at(theta)[:, None], H.shape)
+    delay = _delay(H, place)
+    with np.errstate(divide="ignore"):
+        may = (delay > -BELOW / place.real) & (delay < limit[..., None])
+    point, channel, x, found = _zeros(theta, H, at, evaluate, _missed, may[..., :-1] | may[..., 1:], PARTS)
+    there, s = Crossings(point, channel, at(x).imag, found), at(x)
+    delay = _delay(found, s)
+    with np.errstate(invalid="ignore", over="ignore"):
+        on = (delay > 0) & (np.abs(there.L * np.exp(-s * delay) + 1) < ON)
+    return there[on], delay[on]
+
+
+def _delay(H: Complex, s: Complex) -> Array:
+    """[s] dead time with which abs(L e^(-s tau)) is 1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.log(np.abs(H / (1 + H))) / s.real)
+
+
+def _missed(H: Complex, s: Complex) -> Array:
+    """Sine of the angle by which L with that dead time misses -1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.nan_to_num(np.sin(np.angle(H / (1 + H)) - _delay(H, s) * s.imag)))
+
+
+def _zeros(
+    theta: Array, H: Complex, at: Place, evaluate: Evaluate, function: Callable[[Complex, Complex], Array], where: Bools, parts: int = 1
+) -> tuple[Ints, Ints, Array, Complex]:
+    """Point, channel, angle and H of the sign changes above theta = 0 of a function of H and the place, by the Illinois rule.
+
+    ``where``: (m, n, k - 1) the steps of ``theta`` that matter, each searched in so many ``parts``.
+    """
+    point, channel, k = np.nonzero(where & (theta[:, None, :-1] > 0))
+    a, b, at_a, at_b = theta[point, k], theta[point, k + 1], H[point, channel, k], H[point, channel, k + 1]
+    if parts > 1:
+        x = a[:, None] + (b - a)[:, None] * np.linspace(0, 1, parts + 1)[1:-1]
+        inner = evaluate(np.repeat(point, parts - 1), np.repeat(channel, parts - 1), at(x.ravel())).reshape(x.shape)
+        x, inner = np.column_stack([a, x, b]), np.column_stack([at_a, inner, at_b])
+        point, channel = np.repeat(point, parts), np.repeat(channel, parts)
+        a, b, at_a, at_b = x[:, :-1].ravel(), x[:, 1:].ravel(), inner[:, :-1].ravel(), inner[:, 1:].ravel()
+    fa, fb = function(at_a, at(a)), function(at_b, at(b))
+    change = (fa >= 0) != (fb >= 0)
+    point, channel, a, b, fa, fb, found = (each[change] for each in (point, channel, a, b, fa, fb, at_b))
+    x = b.copy()
+    for _ in range(50):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            secant = (a * fb - b * fa) / (fb - fa)
+        x = np.where((secant > a) & (secant < b), secant, (a + b) / 2)
+        found = evaluate(point, channel, at(x))
+        fx = function(found, at(x))
+        right = (fx >= 0) == (fb >= 0)
+        fa, fb = np.where(right, fa / 2, fx), np.where(right, fx, fb / 2)
+        a, b = np.where(right, a, x), np.where(right, x, b)
+        if np.all((np.abs(fx) <= 1e-13 * np.abs(found)) | (b - a <= 1e-13)):
+            break
+    return point, channel, x, found

@@ -138,3 +138,25 @@ def test_a_pair_that_leaves_the_disc_to_the_right_ends_the_gain_interval(sampled
 def test_without_a_disc_a_real_root_ends_the_interval_at_zero():
     system = replace(open_system(-0.5 * 0.02 / (s + 0.02) * 3 / (s + 3)), horizon=np.inf)
     assert_allclose(margins(system, "torque").gain_increase[0, 0], 2.0, rtol=1e-12)
+
+
+SLOW_PAIRS = {  # closed loops whose pair of slow roots leaves the disc to the right with dead time, while |L| < 1 on all of the axis above it
+    "beside a real root": (2.84e-3 * s**2 + 5.94e-5 * s + 1.64e-7) / (s**3 + 3.1e-3 * s**2 + 2.78e-5 * s + 3.86e-7),
+    "beside another pair": 2.96e-9 / (s**4 - 3.25e-3 * s**3 + 1.046e-4 * s**2 + 5.64e-8 * s + 2.93e-10),
+    "beside a fast root": (1.352e-2 * s**2 + 8.0e-5 * s + 3.54e-8) / (s**3 + 2.138e-2 * s**2 - 9.09e-5 * s + 1.989e-6),
+}
+
+
+@pytest.mark.parametrize("already", [0.0, 4.0])
+@pytest.mark.parametrize("name", SLOW_PAIRS)
+def test_dead_time_that_drives_a_slow_pair_out_of_the_disc_ends_the_delay_margin(name, already):
+    L = SLOW_PAIRS[name] * 3 / (s + 3)
+    system = open_system(L, already)
+    found = margins(system, "torque")
+    delay = found.delay[0, 0]
+    assert found.stable[0] and 5 < delay < 300
+    root = np.sqrt(RADIUS**2 - found.delay_frequency[0, 0] ** 2) + 1j * found.delay_frequency[0, 0]
+    assert abs(1 + value(L, root) * np.exp(-root * (delay + already))) < 1e-8
+    for factor in (0.1, 0.5, 0.9, 0.999):
+        assert judged(open_system(L, already + factor * delay))
+    assert not judged(open_system(L, already + 1.001 * delay))
