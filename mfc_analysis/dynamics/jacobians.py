@@ -14,7 +14,7 @@ import numpy as np
 
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.dynamics.environment import LoseContact
-from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, reference_channels
+from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, Wires, reference_channels
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
 from mfc_analysis.maths.arrays import Array
@@ -59,6 +59,70 @@ def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coo
     return _changed(A, change, nx)[0]
 
 
+class Closed(NamedTuple):
+    """The closed loop at m points, dead time left out."""
+
+    A: Array  #: (m, nx, nx)
+    B: Array  #: (m, nx, nu) from the external inputs
+    C: Array  #: (m, ny, nx) to the outputs
+    D: Array  #: (m, ny, nu)
+
+
+def closed_system(equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state") -> Closed:
+    """A, B, C, D of the closed loop at (times, x), dead time left out: no wire is cut. Names as in ``external``."""
+    if equations.law.needs_acceleration:
+        return Closed(*close_wires(open_system(equations, times, x, coordinates)))
+    names = external(equations)
+    nx = equations.nx
+    width = nx + len(names.inputs)
+    wires, seeded = Wires(), _seed(x, 0, width)
+    flow = equations.flow(times, seeded, wires, _inputs(equations, len(times), width))
+    outputs = _outputs(equations, seeded, flow, wires)
+    C = _tangent(outputs, (len(times), len(names.outputs)), width)
+    T = _finite(_tangent(equations.join(flow.rates), x.shape, width))
+    if coordinates == "error":
+        T, C = _changed_open(T, C, _error_coordinates(equations, times, seeded, flow.rates), nx)
+    return Closed(T[:, :, :nx], T[:, :, nx:], C[:, :, :nx], C[:, :, nx:])
+
+
+class External(NamedTuple):
+    """Names of the states in the coordinates asked for, the external inputs and the outputs."""
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+def external(equations: Equations, coordinates: Coordinates = "state") -> External:
+    """What the closed loop is between, in the order of the columns and rows of its A, B, C, D."""
+    joints = equations.robot.joint_names
+    tool = equations.law.space == "tool"
+    inputs = [*reference_channels(equations), *(f"disturbance_{j}" for j in joints)]
+    if equations.law.desired_wrench is not None:
+        inputs += [f"F_d_{c}" for c in WRENCH]
+    error = [f"X_e_{c}" for c in TWIST] if tool else [f"e_{j}" for j in joints]
+    outputs = [*(f"q_{j}" for j in joints), *error, *(f"{'tau' if equations.actuator == 'torque' else 'u'}_{j}" for j in joints)]
+    if equations.surfaces:
+        outputs += [f"F_tip_{c}" for c in WRENCH]
+    states = equations.state_names
+    if coordinates == "error":
+        if equations.actuator == "torque":
+            error += [f"V_e_{c}" for c in TWIST] if tool else [f"e_dot_{j}" for j in joints]
+        states = (*error, *states[len(error) :])
+    return External(states, tuple(inputs), tuple(outputs))
+
+
+def _inputs(equations: Equations, m: int, width: int) -> Inputs:
+    """The external inputs, each a direction after the states."""
+    n, nx, references = equations.n, equations.nx, len(reference_channels(equations))
+    F_d = equations.law.desired_wrench
+    return Inputs(
+        _seed(np.zeros((m, references)), nx, width),
+        _seed(np.zeros((m, n)), nx + references, width),
+        None if F_d is None else _seed(np.broadcast_to(F_d, (m, 6)), nx + references + n, width),
+    )
+
+
 def open_system(
     equations: Equations, times: Array, x: Array, coordinates: Coordinates = "state", arriving: Mapping[str, Array] | None = None
 ) -> OpenSystem:
@@ -66,22 +130,13 @@ def open_system(
 
     ``arriving`` gives the values (m, k) after a wire where they differ from those before it (dead time on a moving path).
     """
-    m, nx, n = len(times), equations.nx, equations.n
-    held = equations.flow(times, x)  # values on the wires
+    m, nx = len(times), equations.nx
     held_wires = Wires()
-    equations.flow(times, x, held_wires)
+    held = equations.flow(times, x, held_wires)  # values on the wires
     sizes = equations.wire_sizes()
-    references = reference_channels(equations)
-    names = [*references, *(f"disturbance_{j}" for j in equations.robot.joint_names)]
-    F_d = equations.law.desired_wrench
-    if F_d is not None:
-        names += [f"F_d_{c}" for c in WRENCH]
-    nu, nw = len(names), sum(sizes.values())
+    names = external(equations, coordinates)
+    nu, nw = len(names.inputs), sum(sizes.values())
     width = nx + nu + nw
-    shift = _seed(np.zeros((m, len(references))), nx, width)
-    disturbance = _seed(np.zeros((m, n)), nx + len(references), width)
-    force = None if F_d is None else _seed(np.broadcast_to(F_d, (m, 6)), nx + len(references) + n, width)
-    inputs = Inputs(shift, disturbance, force)
     cut: dict[str, Vector] = {}
     wires_at: dict[str, slice] = {}
     start = 0
@@ -93,18 +148,13 @@ def open_system(
         start += size
     wires = Wires(cut)
     seeded = _seed(x, 0, width)
-    flow = equations.flow(times, seeded, wires, inputs)
-    outputs, output_names = _outputs(equations, seeded, flow.error, wires.recorded[equations.actuator], flow.F_tip)
-    rows = [_tangent(outputs, (m, len(output_names)), width)]
+    flow = equations.flow(times, seeded, wires, _inputs(equations, m, width))
+    rows = [_tangent(_outputs(equations, seeded, flow, wires), (m, len(names.outputs)), width)]
     rows += [_tangent(wires.recorded[name], (m, size), width) for name, size in sizes.items()]
-    T = _tangent(equations.join(flow.rates), (m, nx), width)
+    T = _finite(_tangent(equations.join(flow.rates), (m, nx), width))
     C = np.concatenate(rows, axis=1)
-    _finite(T)
-    state_names = equations.state_names
     if coordinates == "error":
-        change = _error_coordinates(equations, times, seeded, flow.rates)
-        T, C = _changed_open(T, C, change, nx)
-        state_names = (*_error_names(equations, change.replaced), *state_names[change.replaced :])
+        T, C = _changed_open(T, C, _error_coordinates(equations, times, seeded, flow.rates), nx)
     delay = np.zeros(nw)
     for name, late in equations.delays.items():
         delay[wires_at[name]] = late
@@ -116,9 +166,9 @@ def open_system(
         B=T[:, :, nx:],
         C=C[:, :, :nx],
         D=C[:, :, nx:],
-        state_names=state_names,
-        input_names=tuple(names),
-        output_names=output_names,
+        state_names=names.states,
+        input_names=names.inputs,
+        output_names=names.outputs,
         wires=wires_at,
         wire_names=tuple(c for name in sizes for c in channels.get(name, joints)),
         wire_delay=delay,
@@ -136,28 +186,12 @@ def _finite(A: Array) -> Array:
     return A
 
 
-def _outputs(equations: Equations, x: Dual, error: Vector, command: Vector, F_tip: Vector) -> tuple[Array | Dual, tuple[str, ...]]:
-    joints = equations.robot.joint_names
-    tool = equations.law.space == "tool"
-    q = equations.split(x)["q"]
-    parts: list[Vector] = [q, error, command]
-    names = [*(f"q_{j}" for j in joints), *((f"X_e_{c}" for c in TWIST) if tool else (f"e_{j}" for j in joints))]
-    names += [f"{'tau' if equations.actuator == 'torque' else 'u'}_{j}" for j in joints]
-    if equations.surfaces:
-        parts.append(F_tip)
-        names += [f"F_tip_{c}" for c in WRENCH]
-    return concatenate(parts), tuple(names)
+def _outputs(equations: Equations, x: Dual, flow: Flow, wires: Wires) -> Array | Dual:
+    parts: list[Vector] = [equations.split(x)["q"], flow.error, wires.recorded[equations.actuator]]
+    return concatenate([*parts, flow.F_tip] if equations.surfaces else parts)
 
 
 # --- error coordinates -------------------------------------------------------------------------------------------
-
-
-def _error_names(equations: Equations, replaced: int) -> tuple[str, ...]:
-    joints = equations.robot.joint_names
-    first = [f"X_e_{c}" for c in TWIST] if equations.law.space == "tool" else [f"e_{j}" for j in joints]
-    if replaced == len(joints):
-        return tuple(first)
-    return tuple(first + ([f"V_e_{c}" for c in TWIST] if equations.law.space == "tool" else [f"e_dot_{j}" for j in joints]))
 
 
 def _error_coordinates(equations: Equations, times: Array, x: Dual, rates: object) -> _Change:

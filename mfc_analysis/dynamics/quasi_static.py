@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires
-from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
+from mfc_analysis.dynamics.jacobians import closed_system, external
 from mfc_analysis.dynamics.operating_point import nominal
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths import checks
@@ -41,11 +40,10 @@ class QuasiStatic:
             raise BadArgument("frequencies", frequencies, takes)
         if not self.equations.surfaces or self.x is None:
             raise Unsupported("frequencies", frequencies, "a loop with an environment: without one the tool is held rigidly")
-        opened = open_system(self.equations, np.zeros(1), self.x)
-        A = closed_matrix(self.equations, np.zeros(1), self.x)[0]
-        B, C, D = (M[0] for M in close_wires(opened)[1:])
-        inputs = [opened.input_names.index(f"F_d_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
-        outputs = [opened.output_names.index(f"F_tip_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
+        A, B, C, D = (M[0] for M in closed_system(self.equations, np.zeros(1), self.x))
+        names = external(self.equations)
+        inputs = [names.inputs.index(f"F_d_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
+        outputs = [names.outputs.index(f"F_tip_{c}") for c in ("fx", "fy", "fz", "mx", "my", "mz")]
         B, C, D = B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)]
         static = _massless(self.equations, A, B, C, D)
         out = np.empty(len(w))

@@ -14,7 +14,7 @@ from mfc_analysis.analysis.spectrum import Pole, pole_table, poles
 from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, close_wires
 from mfc_analysis.dynamics.equations import Equations, timed, warn_near_singular
-from mfc_analysis.dynamics.jacobians import Coordinates, closed_matrix, open_system
+from mfc_analysis.dynamics.jacobians import Coordinates, External, closed_matrix, closed_system, external, open_system
 from mfc_analysis.dynamics.operating_point import OperatingPoint, nominal, on_reference, residual
 from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint, Unsupported
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
@@ -87,7 +87,7 @@ class Linearization:
     @cached_property
     def A(self) -> Array:
         """(m, nx, nx) of the closed loop."""
-        if self.dt or "opened" in self.__dict__:
+        if self.dt or not {"opened", "_closed"}.isdisjoint(self.__dict__):
             return self._closed[0]
         return closed_matrix(self.equations, self.times, self.point.x, self.coordinates)
 
@@ -108,7 +108,9 @@ class Linearization:
 
     @cached_property
     def _closed(self) -> tuple[Array, Array, Array, Array]:
-        return close_wires(self.opened)
+        if self.dt or "opened" in self.__dict__:
+            return close_wires(self.opened)
+        return closed_system(self.equations, self.times, self.point.x, self.coordinates)
 
     @cached_property
     def opened(self) -> OpenSystem:
@@ -142,19 +144,25 @@ class Linearization:
         return replace(open_system(self.equations, self.times, self.point.x, "state"), horizon=self.horizon)
 
     @property
+    def _external(self) -> External:
+        if self.dt:
+            return External(self.opened.state_names, self.opened.input_names, self.opened.output_names)
+        return external(self.equations, self.coordinates)
+
+    @property
     def state_names(self) -> tuple[str, ...]:
         """nx names; with a sample time they include the samples in transit."""
-        return self.opened.state_names
+        return self._external.states
 
     @property
     def input_names(self) -> tuple[str, ...]:
         """nu names of the external inputs."""
-        return self.opened.input_names
+        return self._external.inputs
 
     @property
     def output_names(self) -> tuple[str, ...]:
         """ny names of the external outputs."""
-        return self.opened.output_names
+        return self._external.outputs
 
     # --- poles ---------------------------------------------------------------------------------------------------
 

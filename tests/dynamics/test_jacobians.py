@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from mfc_analysis import laws as L, robots
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.hardware import Hardware
-from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
+from mfc_analysis.dynamics.jacobians import closed_matrix, closed_system, external, open_system
 from mfc_analysis.linearization.linearization import Linearization
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import exp6, inverse, log6
@@ -127,6 +127,16 @@ def test_the_open_loop_with_its_wires_closed_is_the_closed_loop(name: str, case:
     assert np.max(np.abs(close_wires(opened)[0] - closed) / scale) < 1e-11  # the same sums in another order
     feedback = case.name not in ("9.1", "9.9 standard")
     assert np.allclose(opened.A, closed) != feedback  # something was cut
+    for coordinates in ("state", "error") if fits_error(case, loop) else ("state",):
+        cut, names = open_system(e, TIMES, x, coordinates), external(e, coordinates)
+        assert (names.states, names.inputs, names.outputs) == (cut.state_names, cut.input_names, cut.output_names)
+        for direct, shut in zip(closed_system(e, TIMES, x, coordinates), close_wires(cut), strict=True):
+            assert_allclose(direct, shut, atol=1e-12 * max(1.0, float(np.abs(shut).max(initial=0.0))))
+
+
+def fits_error(case: Case, loop: ClosedLoop) -> bool:
+    """The error replaces the joint states."""
+    return not case.tool or loop.equations.n == 6
 
 
 @pytest.mark.parametrize("case", named("9.4", "9.5 no_adjoint", "9.8", "9.16 printed", "9.24 dynamic standard"), ids=str)
