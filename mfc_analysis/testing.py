@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfc_analysis.analysis.loop_step import SettlingStep
 from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
@@ -83,13 +84,21 @@ def assert_stable(loop: ClosedLoop, times: ArrayLike = (0.0,), *, allow_drift: b
 
 
 def assert_margins(
-    loop: ClosedLoop, times: ArrayLike = (0.0,), *, at: str | None = None, allow_drift: bool = False, allow_residual: bool = False, **asked: float
+    loop: ClosedLoop,
+    times: ArrayLike = (0.0,),
+    *,
+    at: str | None = None,
+    step: SettlingStep = "reference",
+    allow_drift: bool = False,
+    allow_residual: bool = False,
+    **asked: float,
 ) -> None:
     """Asserts margins (and any other field of ``Requirements``) at all times (m,) [s] and channels of the analysis point.
 
     Args:
         at: analysis point; None: the plant input. asked: fields of ``Requirements``, such as ``phase_deg=45, gain_increase_db=6``;
             ``horizon`` [s] is one of them.
+        step: of ``settling_time`` and ``overshoot``, "reference" or "loop" (T = L/(1 + L) at the analysis point), as in ``Requirements``.
         allow_drift, allow_residual: pass if the loop drifts, or does not stay at its operating points. A drifting loop, which has no
             rest point within the horizon, needs ``allow_drift`` alone.
 
@@ -98,7 +107,7 @@ def assert_margins(
     __tracebackhide__ = True
     if not set(asked) - {"horizon"}:
         raise BadArgument("asked", "nothing", "at least one field of Requirements, such as phase_deg=45; assert_stable checks stability alone")
-    _assert_requirements("assert_margins", loop, Requirements.from_mapping(asked), times, at, allow_drift, allow_residual)
+    _assert_requirements("assert_margins", loop, Requirements.from_mapping({**asked, "step": step}), times, at, allow_drift, allow_residual)
 
 
 def assert_requirements(

@@ -164,7 +164,10 @@ def gains(
     natural_frequency: Annotated[float | None, typer.Option(help="As above, in rad/s.")] = None,
     crossover_hz: Annotated[float | None, typer.Option(help="Frequency at which |L| = 1, in Hz.")] = None,
     crossover: Annotated[float | None, typer.Option(help="As above, in rad/s.")] = None,
-    settling_time: Annotated[float | None, typer.Option(help="Settling time to 2 %, in s.")] = None,
+    settling_time: Annotated[float | None, typer.Option(help="Settling time to 2 % of the step named by --step, in s.")] = None,
+    step: Annotated[
+        str | None, typer.Option(help="reference: a step of q_d with v_d = 0 (force-pi: of F_d); loop: of T. Default: reference.")
+    ] = None,
     damping: Annotated[float | None, typer.Option(help="Damping ratio of the dominant pole pair; default: 1.")] = None,
     inertia: Annotated[str | None, typer.Option(help="Inertia: one or more numbers separated by commas, in kg m^2 or kg; default: 1.")] = None,
     robot: Annotated[str | None, typer.Option(help="joint-pid, cartesian-damping: a URDF file, a study, or a robot name (see 'robots').")] = None,

@@ -38,7 +38,7 @@ def designed(kind: str, given: Mapping[str, Any]) -> Gains:
             )
         if key in asked:
             raise BadArgument(f"--{name.replace('_', '-')}", value, f"either --{key.replace('_', '-')}-hz or --{key.replace('_', '-')}")
-        if isinstance(value, str) and key not in ("robot", "tool"):
+        if isinstance(value, str) and key not in ("robot", "tool", "step"):
             value = numbers(name, value)
         asked[key] = value if factor == 1.0 or not isinstance(value, (int, float)) else factor * value
     for name in ("stiffness", "mass"):

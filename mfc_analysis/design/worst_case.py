@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfc_analysis.analysis.loop_step import SettlingStep
 from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.errors import BadArgument, MfcError, UnknownName
 from mfc_analysis.loop import ClosedLoop
@@ -18,7 +19,7 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.requirements.evidence import METRICS, Evidence
 from mfc_analysis.requirements.replay import replay
-from mfc_analysis.requirements.requirements import KINDS
+from mfc_analysis.requirements.requirements import KINDS, Requirements
 
 Case = dict[str, float]
 
@@ -42,6 +43,7 @@ class WorstCase:
     evaluations: int
     failed: tuple[tuple[Case, str], ...] = field(default=())  #: cases that could not be built or analysed, with the reason
     replay: str = ""  #: code that rebuilds the loop
+    step: SettlingStep = "reference"  #: of a settling time or an overshoot
 
     def __float__(self) -> float:
         return self.value
@@ -49,7 +51,7 @@ class WorstCase:
     def __str__(self) -> str:
         case = ", ".join(f"{name} = {x:.6g}" for name, x in self.case.items())
         place = ", ".join(p for p in (self.where, "" if self.when is None else f"t = {self.when:.4g} s") if p)
-        label, unit = (KINDS[self.metric].label, f" {KINDS[self.metric].unit}".rstrip()) if self.metric in KINDS else (self.metric, "")
+        label, unit = (KINDS[self.metric].said(self.step), f" {KINDS[self.metric].unit}".rstrip()) if self.metric in KINDS else (self.metric, "")
         head = f"{label} {self.value:.6g}{unit}" if self.stable else f"not stable: rightmost root {self.rightmost:.4g} 1/s"
         lost = f"; {len(self.failed)} cases could not be analysed" if self.failed else ""
         return f"worst case of {self.evaluations}: {head} at {case} ({place}){lost}"
@@ -77,6 +79,7 @@ def worst_case(
     at: str | None = None,
     points: int = 5,
     horizon: float = HORIZON,
+    step: SettlingStep = "reference",
 ) -> WorstCase:
     """The worst case over parameter ranges and path.
 
@@ -84,6 +87,7 @@ def worst_case(
         build: keyword parameters -> ``ClosedLoop``.
         ranges: name -> (low, high), searched on a grid of ``points`` and then in between; or three or more values, tried as given.
         times: (m,) [s] of the path. at: analysis point. horizon: [s] of the verdict.
+        step: of a settling time or an overshoot, as in ``Requirements``.
         metric: a field of ``Requirements``, or a function loop -> number where smaller is worse. NaN counts as worst.
 
     A range with ends a factor of 100 or more apart is spaced logarithmically. A case that cannot be built is recorded in ``failed``.
@@ -100,7 +104,9 @@ def worst_case(
     points = checks.whole("points", points, 2, MOST_POINTS)
     t = checks.times(times)
     axes = {name: _axis(name, given, points) for name, given in ranges.items()}
-    search = _Search(build, t, metric, at, horizon)
+    limit = {metric: KINDS[metric].low} if isinstance(metric, str) else {}
+    asked = Requirements.from_mapping({**limit, "horizon": horizon, "step": step})
+    search = _Search(build, t, metric, at, asked)
     scored = [(search.score(dict(zip(axes, values, strict=True))), values) for values in product(*(a.values for a in axes.values()))]
     judged = [(s, values) for s, values in scored if s is not None]
     if not judged:
@@ -110,10 +116,10 @@ def worst_case(
     best, case = _local(search, axes, best, dict(zip(axes, map(float, start), strict=True)))
     loop = build(**case)
     name = metric if isinstance(metric, str) else getattr(metric, "__name__", "metric")
-    call = f"print(mfc.Requirements({name}={KINDS[name].low!r}).check(loop, times, at={at!r}))" if name in KINDS else ""
+    call = f"print({asked.code}.check(loop, times, at={at!r}))" if name in KINDS else ""
     return WorstCase(
         name, best.value, case, loop, best.where, best.when, best.key[0] > 0, best.rightmost, search.count, tuple(search.failed),
-        str(replay(loop, t, call)),
+        str(replay(loop, t, call)), asked.step,
     )  # fmt: skip
 
 
@@ -123,7 +129,7 @@ class _Search:
     times: Array
     metric: str | Callable[[ClosedLoop], float]
     at: str | None
-    horizon: float
+    asked: Requirements
     count: int = 0
     failed: list[tuple[Case, str]] = field(default_factory=list)
     last: MfcError | None = None
@@ -141,7 +147,7 @@ class _Search:
 
     def _score(self, case: Case) -> _Score:
         loop = self.build(**case)
-        evidence = Evidence(loop.equations, self.times, self.at, self.horizon)
+        evidence = Evidence(loop.equations, self.times, self.at, self.asked.horizon, self.asked.step)
         root = evidence.slowest_root()
         if not evidence.judged.all():
             return _Score((0, -root.value), float("nan"), root.where, root.when, root.value)

@@ -69,13 +69,18 @@ def stiffness_range(kfp: float, kfi: float, kdamp: float, m: float, T: float = 0
 
 
 def force_design(name: str, value: float, k: float, m: float, T: float, b: float, zeta: float) -> ForceDesign:
-    """Gains >= 0 for which the metric ``name`` (as in ``mfc.gains``) is ``value``. Raises ``BadArgument`` with the reason where none exist."""
+    """Gains >= 0 for which the metric ``name`` (a field of ``LoopMetrics``, or "natural_frequency") is ``value``.
+
+    Raises ``BadArgument`` with the reason where none exist.
+    """
     if name == "natural_frequency":
         return _finished(name, value, _placed(value, 1.0, k, m, T, b, zeta), k, m, T, b)
 
+    settles = name.endswith("settling_time")
+
     def metric(log_s: float) -> float:
         w, r = _family(math.exp(log_s), k, m, T, b, zeta)
-        f = loop_metrics(*_loop(*_placed(w, r, k, m, T, b, zeta)[:3], k, m, T, b), settle=name == "settling_time")
+        f = _metrics(*_placed(w, r, k, m, T, b, zeta)[:3], k, m, T, b, settle=settles)
         return float(getattr(f, name)) if f.stable else math.nan
 
     grid = np.linspace(math.log(1e-5), math.log(_highest(k, m, T, b, zeta)), 121)
@@ -86,13 +91,18 @@ def force_design(name: str, value: float, k: float, m: float, T: float, b: float
         except BadArgument:
             continue
     sign = np.sign(known - value)
-    crossed = np.flatnonzero(sign[:-1] * sign[1:] <= 0)
-    if not crossed.size:
-        raise _unattainable(name, value, known, k, m, T, b, zeta)
-    left, right = float(grid[crossed[0]]), float(grid[crossed[0] + 1])
-    s = math.exp(root_between(lambda x: metric(x) - value, left, right, xtol=1e-14, rtol=1e-14))
-    w, r = _family(s, k, m, T, b, zeta)
-    return _finished(name, value, _placed(w, r, k, m, T, b, zeta), k, m, T, b)
+    crossed = sign[:-1] * sign[1:] <= 0
+    if settles:  # where it grows with s, the integral is too weak to matter within the band, or the response begins to leave the band again
+        crossed &= sign[:-1] > sign[1:]
+    why = None
+    for left, right in zip(grid[:-1][crossed], grid[1:][crossed], strict=True):
+        s = math.exp(root_between(lambda x: metric(x) - value, float(left), float(right), xtol=1e-14, rtol=1e-14))
+        w, r = _family(s, k, m, T, b, zeta)
+        try:
+            return _finished(name, value, _placed(w, r, k, m, T, b, zeta), k, m, T, b)
+        except BadArgument as jumps:  # over the value, where an extreme of the response leaves the band
+            why = why or jumps
+    raise why or _unattainable(name, value, known, k, m, T, b, zeta)
 
 
 def _placed(w: float, r: float, k: float, m: float, T: float, b: float, zeta: float) -> Placed:
@@ -155,18 +165,23 @@ def _loop(kfp: float, kfi: float, kdamp: float, k: float, m: float, T: float, b:
     return [k * kfp, k * kfi], [m * T, m + b * T, b + kdamp + k * T, k, 0.0]
 
 
+def _metrics(kfp: float, kfi: float, kdamp: float, k: float, m: float, T: float, b: float, settle: bool = True) -> LoopMetrics:
+    """Of L; the reference is F_d, which is also fed forward: k_e ((1 + kfp) s + kfi) over the characteristic polynomial."""
+    return loop_metrics(*_loop(kfp, kfi, kdamp, k, m, T, b), settle=settle, reference=[k * (1 + kfp), k * kfi])
+
+
 def _finished(name: str, value: float, placed: Placed, k: float, m: float, T: float, b: float) -> ForceDesign:
     """The design, with metrics from its polynomial. Raises BadArgument where these differ from the specification."""
     kfp, kfi, kdamp, w, zeta, p, fast = placed
     closed = characteristic(kfp, kfi, kdamp, k, m, T, b)
-    metrics = loop_metrics(*_loop(kfp, kfi, kdamp, k, m, T, b))
+    metrics = _metrics(kfp, kfi, kdamp, k, m, T, b)
     # the poles are verified on the polynomial of the final gains: multiplied out they must give its coefficients
     factors = np.polymul(np.polymul([1.0, 2 * zeta * w, w * w], [1.0, p]), [1 / fast, 1.0] if T else [1.0])
     actual = np.array(closed if T else closed[1:])
     confirmed = np.allclose(factors * (actual[-1] / factors[-1]), actual, rtol=1e-8, atol=0)
     found = w if name == "natural_frequency" else float(getattr(metrics, name))
     if not metrics.stable or not confirmed or not abs(found / value - 1) <= 1e-6:
-        raise BadArgument(name, value, f"another value: the nearest loop attains {found:.6g}")
+        raise BadArgument(name.removeprefix("loop_"), value, f"another value: the nearest loop attains {found:.6g}")
     tracking = loop_metrics([k * (1 + kfp), k * kfi], [*closed[:3], 0.0, 0.0], settle=False).bandwidth
     return ForceDesign(kfp, kfi, kdamp, w, zeta, p, metrics, tracking, stiffness_range(kfp, kfi, kdamp, m, T, b))
 
@@ -175,7 +190,10 @@ def _unattainable(name: str, value: float, known: Array, k: float, m: float, T: 
     fine = known[np.isfinite(known)]
     if not fine.size:
         _placed(*_family(1e-3, k, m, T, b, zeta), k, m, T, b, zeta)  # raises with a specific reason
-        return BadArgument(name, value, "a stiffness, mass, lag and friction for which some gains >= 0 are stable")
-    slow = (value < fine.min()) != (name == "settling_time")
+        return BadArgument(name.removeprefix("loop_"), value, "a stiffness, mass, lag and friction for which some gains >= 0 are stable")
+    forward = name == "settling_time" and bool(np.isfinite(known[0]))  # F_d is fed forward: without an integral the force settles all the same
+    fine = known[np.nanargmax(known) :] if forward else fine
+    slow = (value < np.nanmin(fine)) != name.endswith("settling_time")
     why = f"less needs a negative kdamp at friction {b:g} N s/m: specify more damping" if slow else f"more is not possible with a lag of {T:g} s"
-    return BadArgument(name, value, f"{fine.min():.4g} to {fine.max():.4g} on {k:g} N/m with gains >= 0; {why}")
+    why = "a slower loop settles sooner, because F_d is fed forward and its error is within the band" if slow and forward else why
+    return BadArgument(name.removeprefix("loop_"), value, f"{np.nanmin(fine):.4g} to {np.nanmax(fine):.4g} on {k:g} N/m with gains >= 0; {why}")

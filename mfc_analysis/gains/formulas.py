@@ -5,7 +5,8 @@ Every helper takes exactly one of
 - ``bandwidth`` [rad/s]: the frequency where T = L/(1 + L) falls to -3 dB (1/sqrt 2),
 - ``natural_frequency`` [rad/s]: of the pair of poles (of all three for a PID, of the one for a P),
 - ``crossover`` [rad/s]: where abs(L) = 1,
-- ``settling_time`` [s]: the last time at which the step response of T is 2 % away from 1,
+- ``settling_time`` [s]: the last time at which a step response is 2 % away from 1. ``step`` says which: "reference" (the default), a
+  step of q_d with v_d = 0 (``force_pi``: of F_d), as ``lin.step`` and ``Requirements`` take it; "loop", the step response of T,
 
 and returns ``Gains``, which unpack into a law: ``ComputedTorque(**pid(bandwidth=hertz(4)))``. The achieved metrics are computed
 from the polynomials of the final loop; ``joint_pid`` adds those of the coupled arm. L is the loop of the design, in negative feedback:
@@ -30,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfc_analysis.analysis.loop_step import STEPS, SettlingStep
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.gains.force_loop import force_design
 from mfc_analysis.gains.joints import coupled_loop, motion
@@ -46,11 +48,13 @@ if TYPE_CHECKING:
 __all__ = ["Achieved", "DampingMatrix", "Gains", "cartesian_damping", "force_pi", "joint_pid", "p", "pd", "pi", "pid"]
 
 _ASKED = ("bandwidth", "natural_frequency", "crossover", "settling_time")
+_SETTLING = {"reference": "settling_time", "loop": "loop_settling_time"}  # step -> field of LoopMetrics and Achieved
 _DEFINITIONS = {
     "bandwidth": "the frequency where T = L/(1 + L) falls to -3 dB (1/sqrt 2), rad/s",
     "natural_frequency": "the natural frequency of the dominant poles, rad/s",
     "crossover": "the frequency where |L| = 1, rad/s",
-    "settling_time": "the last time at which the step response of T = L/(1 + L) is 2 % away from 1, s",
+    "settling_time": "the last time at which the response to a step of the reference (v_d = 0) is 2 % away from 1, s",
+    "loop_settling_time": "the last time at which the step response of T = L/(1 + L) is 2 % away from 1, s",
 }
 
 
@@ -60,14 +64,16 @@ def p(
     natural_frequency: float | None = None,
     crossover: float | None = None,
     settling_time: float | None = None,
+    step: SettlingStep = "reference",
     inertia: ArrayLike = 1.0,
 ) -> Gains:
     """Proportional gain on the integrator 1/(inertia s), laws 9.2 and 9.5: kp = w inertia, one pole at -w.
 
-    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] (all w here) and ``settling_time`` [s].
-    ``inertia``: scalar or array > 0. Raises ``BadArgument``: none or two of them given, or a number that is not positive.
+    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] (all w here) and ``settling_time`` [s], which is the same for
+    both kinds of ``step``. ``inertia``: scalar or array > 0.
+    Raises ``BadArgument``: none or two of them given, a number that is not positive, or a ``step`` without a settling time.
     """
-    return _design("p", _one_of(bandwidth, natural_frequency, crossover, settling_time), 1.0, inertia)
+    return _design("p", _one_of(step, bandwidth, natural_frequency, crossover, settling_time), 1.0, inertia)
 
 
 def pi(
@@ -76,15 +82,17 @@ def pi(
     natural_frequency: float | None = None,
     crossover: float | None = None,
     settling_time: float | None = None,
+    step: SettlingStep = "reference",
     damping: float = 1.0,
     inertia: ArrayLike = 1.0,
 ) -> Gains:
     """PI gains on the integrator 1/(inertia s), laws 9.3-9.5: kp = 2 damping w inertia, ki = w^2 inertia.
 
-    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them;
-    ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0. Raises ``BadArgument`` as ``p``.
+    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them, the last the
+    same for both kinds of ``step``; ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0.
+    Raises ``BadArgument`` as ``p``.
     """
-    return _design("pi", _one_of(bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
+    return _design("pi", _one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
 
 
 def pd(
@@ -93,16 +101,17 @@ def pd(
     natural_frequency: float | None = None,
     crossover: float | None = None,
     settling_time: float | None = None,
+    step: SettlingStep = "reference",
     damping: float = 1.0,
     inertia: ArrayLike = 1.0,
 ) -> Gains:
     """PD gains on the double integrator 1/(inertia s^2), laws 9.8-9.16: kp = w^2 inertia, kd = 2 damping w inertia.
 
-    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them;
+    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] (of ``step``) as the module defines them;
     ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
     Raises ``BadArgument`` as ``p``.
     """
-    return _design("pd", _one_of(bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
+    return _design("pd", _one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
 
 
 def pid(
@@ -111,17 +120,18 @@ def pid(
     natural_frequency: float | None = None,
     crossover: float | None = None,
     settling_time: float | None = None,
+    step: SettlingStep = "reference",
     damping: float = 1.0,
     inertia: ArrayLike = 1.0,
 ) -> Gains:
     """PID gains on the double integrator 1/(inertia s^2), laws 9.8-9.16, the third pole at the natural frequency w.
 
     kd = (1 + 2 damping) w inertia, kp = (1 + 2 damping) w^2 inertia, ki = w^3 inertia; with damping 1 a triple pole at -w.
-    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them;
+    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] (of ``step``) as the module defines them;
     ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
     Raises ``BadArgument`` as ``p``.
     """
-    return _design("pid", _one_of(bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
+    return _design("pid", _one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
 
 
 def joint_pid(
@@ -132,6 +142,7 @@ def joint_pid(
     natural_frequency: float | None = None,
     crossover: float | None = None,
     settling_time: float | None = None,
+    step: SettlingStep = "reference",
     damping: float = 1.0,
     torque_lag: float = 0.0,
     delay: float = 0.0,
@@ -146,7 +157,8 @@ def joint_pid(
         robot: its mass matrix gives the effective inertia.
         q: (n,) a pose; (m, n) poses; or a joint reference ``ref(t)`` with ``period`` or ``duration``: the largest inertia of each
             joint along it, and the coupled loop at 41 times.
-        bandwidth, natural_frequency, crossover, settling_time: exactly one, as for ``pid``; damping: 0.001 to 1000.
+        bandwidth, natural_frequency, crossover, settling_time: exactly one, as for ``pid``; step: whose settling time, of each joint alone.
+        damping: 0.001 to 1000.
         torque_lag, delay: [s] as in ``Hardware``: first-order lag and dead time of each torque, in the coupled loop only; 0: none.
 
     Returns gains of shape (n,) [N m/rad, N m/(rad s), N m s/rad; N and m for prismatic joints]. Raises ``BadArgument`` as ``pid``, and for a q of
@@ -154,7 +166,7 @@ def joint_pid(
     """
     where = motion(robot, q)
     inertia = where.largest
-    asked = _one_of(bandwidth, natural_frequency, crossover, settling_time)
+    asked = _one_of(step, bandwidth, natural_frequency, crossover, settling_time)
     made = _design("pid", asked, damping, inertia)
     notes = [f"inertia {where.where}: {np.array2string(inertia, precision=5, separator=', ')} kg m^2 (kg for prismatic joints), armature included"]
     if np.any(where.smallest < inertia * (1 - 1e-9)):
@@ -172,6 +184,7 @@ def force_pi(
     natural_frequency: float | None = None,
     crossover: float | None = None,
     settling_time: float | None = None,
+    step: SettlingStep = "reference",
     stiffness: float,
     mass: float,
     lag: float = 0.0,
@@ -188,13 +201,14 @@ def force_pi(
 
     Args:
         bandwidth, natural_frequency, crossover, settling_time: exactly one, as the module defines them [rad/s, s].
+        step: whose settling time, of F_d -> F_tip ("reference") or of T ("loop"); both with the lag.
         stiffness: of the environment [N/m] > 0. mass: effective, along the contact [kg] > 0. lag: of the torque [s] >= 0.
         friction: viscous, of the arm [N s/m] >= 0. damping: ratio of the pair, 0.001 to 1000.
 
     Returns gains that unpack into ``DampedForcePI(F_d, **gains)``. Raises ``BadArgument``: as ``pid``, and with the reason where no gains
     >= 0 meet the specification. Source: chapter, eqs. 9.22-9.23.
     """
-    name, value = _one_of(bandwidth, natural_frequency, crossover, settling_time)
+    name, value = _one_of(step, bandwidth, natural_frequency, crossover, settling_time)
     k = checks.number("stiffness", stiffness, low=1e-9, high=1e12)
     m = checks.number("mass", mass, low=1e-9, high=1e9)
     T, b = checks.number("lag", lag, low=0.0, high=1e6), checks.number("friction", friction, low=0.0, high=1e12)
@@ -212,9 +226,9 @@ def force_pi(
         {"kfp": "-", "kfi": "1/s", "kdamp": "N s/m"},
         "poles of m T s^4 + (m + b T) s^3 + (b + kdamp + k_e T) s^2 + k_e (1 + kfp) s + k_e kfi placed at a pair (damping, w) and -p; "
         f"w = {found.natural_frequency:.6g} rad/s, p = {found.pole:.6g} rad/s, damping = {zeta:g}",
-        f"{name} = {value:.6g}: {_DEFINITIONS[name]}",
+        _asked_for(name, value),
         f"L at the force sensor: mass {m:g} kg on k_e = {k:g} N/m, torque lag {T:g} s, friction {b:g} N s/m",
-        Achieved(f.bandwidth, f.crossover, f.settling_time, found.natural_frequency, found.damping, f.phase_deg),
+        Achieved(f.bandwidth, f.crossover, f.settling_time, f.loop_settling_time, found.natural_frequency, found.damping, f.phase_deg),
         tuple(notes),
     )
 
@@ -274,24 +288,34 @@ _UNIT_INERTIA = {"kp": "1/s^2", "ki": "1/s^3", "kd": "1/s"}
 _PER_INERTIA = {"kp": "N m/rad or N/m", "ki": "N m/(rad s) or N/(m s)", "kd": "N m s/rad or N s/m"}
 
 
-def _one_of(*given: float | None) -> tuple[str, float]:
+def _one_of(step: SettlingStep, *given: float | None) -> tuple[str, float]:
+    """The metric asked for, a field of ``LoopMetrics`` or "natural_frequency", and its value."""
+    checks.choice("step", step, tuple(STEPS))
     asked = {name: value for name, value in zip(_ASKED, given, strict=True) if value is not None}
     if len(asked) != 1:
         raise BadArgument(" or ".join(_ASKED), ", ".join(asked) or "none of them", "exactly one of the four")
     name, value = next(iter(asked.items()))
-    return name, checks.number(name, value, low=1e-9, high=1e9)
+    value = checks.number(name, value, low=1e-9, high=1e9)
+    if name != "settling_time" and step != "reference":
+        raise BadArgument("step", step, f"a settling_time with it: {name} does not depend on a step")
+    return _SETTLING[step] if name == "settling_time" else name, value
 
 
-def _polynomials(kind: str, gains: Mapping[str, float], inertia: float) -> tuple[list[float], list[float]]:
-    """Numerator and denominator of L."""
-    order = {"p": ("kp",), "pi": ("kp", "ki"), "pd": ("kd", "kp"), "pid": ("kd", "kp", "ki")}[kind]
-    return [gains[name] for name in order], [inertia, *[0.0] * len(order)]
+def _asked_for(name: str, value: float) -> str:
+    return f"{name.removeprefix('loop_')} = {value:.6g}: {_DEFINITIONS[name]}"
+
+
+def _metrics(gains: Mapping[str, float], inertia: float) -> LoopMetrics:
+    """Of the loop; a step of q_d reaches the law without its derivative, which kd multiplies."""
+    order = [name for name in ("kd", "kp", "ki") if name in gains]
+    follows = [gains[name] for name in order if name != "kd"]
+    return loop_metrics([gains[name] for name in order], [inertia, *[0.0] * len(order)], reference=follows)
 
 
 @lru_cache(maxsize=256)
 def _unit_metrics(kind: str, damping: float) -> LoopMetrics:
     """Metrics of the loop with natural frequency and inertia 1; all other loops differ by a time scale only."""
-    return loop_metrics(*_polynomials(kind, {name: factor for name, (factor, _) in _FORMULAS[kind][2](damping).items()}, 1.0))
+    return _metrics({name: factor for name, (factor, _) in _FORMULAS[kind][2](damping).items()}, 1.0)
 
 
 def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayLike) -> Gains:
@@ -301,8 +325,8 @@ def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayL
         raise BadArgument("inertia", inertia, "positive numbers, 1e-12 to 1e12")
     name, value = asked
     unit = _unit_metrics(kind, zeta)
-    metric = {"natural_frequency": 1.0, "bandwidth": unit.bandwidth, "crossover": unit.crossover, "settling_time": unit.settling_time}[name]
-    w = metric / value if name == "settling_time" else value / metric
+    metric = 1.0 if name == "natural_frequency" else float(getattr(unit, name))
+    w = metric / value if name in _SETTLING.values() else value / metric
     formula, loop, factors = _FORMULAS[kind]
     gains: dict[str, Value] = {}
     for gain, (factor, power) in factors(zeta).items():
@@ -311,8 +335,7 @@ def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayL
     plain = I.ndim == 0 and float(I) == 1.0
     units = _UNITS.get(kind) or (_UNIT_INERTIA if plain else _PER_INERTIA)
     how = f"; w = {w:.6g} rad/s" + ("" if kind == "p" else f", damping = {zeta:g}") + (", I = 1" if plain else "")
-    asked_for = f"{name} = {value:.6g}: {_DEFINITIONS[name]}"
-    return Gains(gains, {g: units[g] for g in gains}, formula + how, asked_for, loop, _achieved(kind, gains, I))
+    return Gains(gains, {g: units[g] for g in gains}, formula + how, _asked_for(name, value), loop, _achieved(kind, gains, I))
 
 
 def _achieved(kind: str, gains: Mapping[str, Value], I: Array) -> Achieved:
@@ -321,11 +344,11 @@ def _achieved(kind: str, gains: Mapping[str, Value], I: Array) -> Achieved:
     for index in np.ndindex(I.shape):
         one = {name: float(np.asarray(value)[index]) for name, value in gains.items()}
         inertia = float(I[index])
-        f = loop_metrics(*_polynomials(kind, one, inertia))
+        f = _metrics(one, inertia)
         per = {name: value / inertia for name, value in one.items()}
         w, zeta = _pair(kind, per)
-        found.append((f.bandwidth, f.crossover, f.settling_time, w, zeta, f.phase_deg))
-    columns = np.array(found).reshape(*I.shape, 6)
+        found.append((f.bandwidth, f.crossover, f.settling_time, f.loop_settling_time, w, zeta, f.phase_deg))
+    columns = np.array(found).reshape(*I.shape, 7)
     return Achieved(*(float(c) if I.ndim == 0 else c for c in np.moveaxis(columns, -1, 0)))
 
 

@@ -25,7 +25,8 @@ class Achieved:
 
     bandwidth: Value  #: [rad/s] -3 dB of T = L/(1 + L)
     crossover: Value  #: [rad/s] |L| = 1
-    settling_time: Value  #: [s] 2 % of the step response of T
+    settling_time: Value  #: [s] to 2 %, of a step of the reference with v_d = 0, as ``lin.step`` and ``Requirements`` take it
+    loop_settling_time: Value  #: [s] to 2 %, of the step response of T
     natural_frequency: Value  #: [rad/s] of the dominant pair (of the pole of ``p``)
     damping: Value  #: damping ratio of the dominant pair (1 for ``p``)
     phase_deg: Value  #: [deg] phase margin at the crossover
@@ -38,8 +39,9 @@ class Achieved:
         hz = 1 / (2 * math.pi)
         return (
             f"bandwidth {say(self.bandwidth)} rad/s ({say(self.bandwidth, hz)} Hz), crossover {say(self.crossover)} rad/s, "
-            f"2 % settling {say(self.settling_time)} s,\n          natural frequency {say(self.natural_frequency)} rad/s, "
-            f"damping {say(self.damping)}, phase margin {say(self.phase_deg)} deg"
+            f"phase margin {say(self.phase_deg)} deg,\n          natural frequency {say(self.natural_frequency)} rad/s, "
+            f"damping {say(self.damping)},\n          2 % settling {say(self.settling_time)} s (step of the reference), "
+            f"{say(self.loop_settling_time)} s (step of the loop, T)"
         )
 
 

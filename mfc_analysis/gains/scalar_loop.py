@@ -1,7 +1,8 @@
 """Metrics of one scalar loop L = num/den from its polynomials, without a frequency grid.
 
-Crossings are roots of polynomials in w^2, polished by Newton. The settling time is the last root of |1 - y(t)| = tolerance
-for the step response of T = L/(1 + L), by matrix exponentials, so that repeated poles are allowed.
+Crossings are roots of polynomials in w^2, polished by Newton. A settling time is the last root of |1 - y(t)| = tolerance, by
+matrix exponentials, so that repeated poles are allowed. There are two, with the same poles: of a step of the reference, whose
+derivative the law does not get (v_d = 0), and of the step response of T = L/(1 + L).
 """
 
 from __future__ import annotations
@@ -18,25 +19,31 @@ from mfc_analysis.maths.roots import root_between
 
 @dataclass(frozen=True, eq=False)
 class LoopMetrics:
-    """Metrics of T = L/(1 + L), L in negative feedback; ``inf`` where there is no such crossing, all NaN when T is unstable."""
+    """Metrics of a loop L in negative feedback, T = L/(1 + L); ``inf`` where there is no such crossing, all NaN when T is unstable."""
 
     stable: bool
     bandwidth: float  #: [rad/s] lowest frequency where |T| falls to 1/sqrt(2) (-3 dB)
     crossover: float  #: [rad/s] highest frequency where |L| = 1
     phase_deg: float  #: [deg] phase margin at that crossover
-    settling_time: float  #: [s] last time at which the step response of T is ``tolerance`` away from 1
+    settling_time: float  #: [s] last time at which the response to a step of the reference is ``tolerance`` away from 1
+    loop_settling_time: float  #: [s] the same of the step response of T
     tolerance: float = 0.02  #: settling band: 2 %
 
 
-def loop_metrics(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle: bool = True) -> LoopMetrics:
-    """Metrics of the loop L = num/den (coefficients, highest power first; strictly proper, T(0) = 1); without ``settle`` its settling time is NaN."""
+def loop_metrics(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle: bool = True, reference: ArrayLike | None = None) -> LoopMetrics:
+    """Metrics of the loop L = num/den (coefficients, highest power first; strictly proper, T(0) = 1); without ``settle`` its settling times are NaN.
+
+    ``reference``: numerator of the response to the reference, over num + den; omitted: num, as where the law sees the error alone.
+    """
     n, d = np.trim_zeros(np.asarray(num, float), "f"), np.trim_zeros(np.asarray(den, float), "f")
+    follows = n if reference is None else np.trim_zeros(np.asarray(reference, float), "f")
     closed = np.polyadd(n, d)
     poles = np.roots(closed)
     if np.any(poles.real >= 0):
-        return LoopMetrics(False, math.nan, math.nan, math.nan, math.nan, tolerance)
+        nan = math.nan
+        return LoopMetrics(False, nan, nan, nan, nan, nan, tolerance)
     unit = float(np.exp(np.mean(np.log(np.abs(poles)))))  # time in units of the mean pole
-    n, d, closed = (_scaled(p, unit) / (closed[0] * unit ** (closed.size - 1)) for p in (n, d, np.asarray(closed, float)))
+    n, d, follows, closed = (_scaled(p, unit) / (closed[0] * unit ** (closed.size - 1)) for p in (n, d, follows, np.asarray(closed, float)))
     falls = _crossings(n, closed, 0.5)
     ones = _crossings(n, d, 1.0)
     crossover = ones[-1] if ones.size else math.inf
@@ -44,8 +51,10 @@ def loop_metrics(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle
     if ones.size:
         L = np.polyval(n, 1j * crossover) / np.polyval(d, 1j * crossover)
         phase = math.degrees(float(np.angle(-L)))
-    settling = _settling(d, closed, tolerance) / unit if settle else math.nan
-    return LoopMetrics(True, float(falls[0] * unit) if falls.size else math.inf, float(crossover * unit), phase, settling, tolerance)
+    of_loop = _settling(d, closed, tolerance) / unit if settle else math.nan
+    of_reference = of_loop if reference is None or not settle else _settling(np.polysub(closed, follows), closed, tolerance) / unit
+    bandwidth = float(falls[0] * unit) if falls.size else math.inf
+    return LoopMetrics(True, bandwidth, float(crossover * unit), phase, of_reference, of_loop, tolerance)
 
 
 def _scaled(p: Array, unit: float) -> Array:
@@ -70,17 +79,17 @@ def _crossings(num: Array, den: Array, level: float) -> Array:
     return np.asarray(np.sort(np.sqrt(x)))
 
 
-def _settling(den: Array, closed: Array, tolerance: float) -> float:
-    """Last time of |e(t)| = tolerance, e the error of a unit step: E = den / (closed s), den with a root at zero."""
+def _settling(error: Array, closed: Array, tolerance: float) -> float:
+    """Last time of |e(t)| = tolerance, e the error of a unit step: E = error / (closed s), ``error`` with a root at zero."""
     from scipy.linalg import expm
 
-    if closed[-1] == 0 or abs(den[-1]) > 1e-12 * abs(closed[-1]):
+    if closed[-1] == 0 or abs(error[-1]) > 1e-12 * abs(closed[-1]):
         return math.inf  # a constant steady-state error
     k = closed.size - 1
     A = np.diag(np.ones(k - 1), -1)
     A[0] = -closed[1:] / closed[0]
     c = np.zeros(k)
-    c[k - den.size + 1 :] = den[:-1] / closed[0]
+    c[k - error.size + 1 :] = error[:-1] / closed[0]
     poles = np.linalg.eigvals(A)
     horizon = 16.0 / float(np.min(-poles.real))
     samples = int(min(4e5, max(4000, 20 * horizon * np.max(np.abs(poles.imag)) / (2 * np.pi))))

@@ -133,7 +133,7 @@ class Linearization:
         late = self.equations.n * (hardware.delay or 0.0) + 6 * (hardware.force_delay or 0.0)
         return late / self.dt if self.dt else 0.0
 
-    def _opened_for(self, *at: str | None) -> OpenSystem:
+    def opened_for(self, *at: str | None) -> OpenSystem:
         """``opened``; for the encoder, in state coordinates, in which the rate wire is the derivative of the position wire."""
         if "position" in at and self.coordinates == "error" and not self.dt:
             return self._opened_in_state
@@ -233,7 +233,7 @@ class Linearization:
         from mfc_analysis.analysis.channels import channels
 
         at = self._at(at)
-        found = channels(self._opened_for(at).at(slice(self._index(index), self._index(index) + 1)), at)
+        found = channels(self.opened_for(at).at(slice(self._index(index), self._index(index) + 1)), at)
         names = tuple(found.names)
         j = self._channel(channel, names)
         A, b, c = found.A[0], found.B[0][:, j], found.C[0][j]
@@ -250,7 +250,7 @@ class Linearization:
         from mfc_analysis.analysis.margins import margins
 
         at = self._at(at)
-        return margins(self._opened_for(at), at)
+        return margins(self.opened_for(at), at)
 
     def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None) -> DiskMargin:
         """Disk margin of all loops at once (m,), at one analysis point or several together. Raises UnknownPoint."""
@@ -258,7 +258,7 @@ class Linearization:
 
         points = tuple(self._at(one) for one in at) if isinstance(at, (list, tuple)) and at else (self._at(at),)
         grid = None if frequencies is None else checks.array("frequencies", frequencies, (None,))
-        return disk_margin(self._opened_for(*points), points[0] if len(points) == 1 else points, grid)
+        return disk_margin(self.opened_for(*points), points[0] if len(points) == 1 else points, grid)
 
     def frequency_response(self, frequencies: ArrayLike, at: str | None = None) -> Complex:
         """(m, n, nf) loop transfer functions L_i(j w) at w [rad/s], each opened alone; dead time included. Raises UnknownPoint."""
@@ -268,7 +268,7 @@ class Linearization:
         if np.any(w < 0):
             raise BadArgument("frequencies", frequencies, "finite frequencies >= 0 [rad/s]")
         at = self._at(at)
-        return frequency_response(self._opened_for(at), w, at)
+        return frequency_response(self.opened_for(at), w, at)
 
     def step(self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None) -> Step:
         """Unit step response of the closed loop at one time, with its metrics. Raises UnknownName."""

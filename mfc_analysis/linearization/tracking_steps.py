@@ -1,7 +1,7 @@
-"""Settling and overshoot of the step from every reference channel to its coordinate, along a path.
+"""Settling and overshoot of the steps of a loop along a path: of the reference, or of the loop opened at an analysis point (``loop_step``).
 
-Joint laws: q_d -> q of each joint. Tool laws: a body twist r of X_d -> the tool motion r - X_e of each axis (9.24: the axes of
-motion). Force laws: F_d -> F_tip of each axis that a surface resists.
+A step of the reference goes from every reference channel to its coordinate. Joint laws: q_d -> q of each joint. Tool laws: a body twist r
+of X_d -> the tool motion r - X_e of each axis (9.24: the axes of motion). Force laws: F_d -> F_tip of each axis that a surface resists.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mfc_analysis.analysis.loop_step import SettlingStep, loop_step
 from mfc_analysis.analysis.steps import point_of
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.laws.law import TWIST, WRENCH
@@ -33,20 +34,32 @@ class StepMetrics:
     overshoot: Array  #: (m, k) fraction of the final value
 
 
-def step_metrics(lin: Linearization) -> StepMetrics:
-    """Settling [s] and overshoot of all channels at all times of a linearised loop, from its exact step responses."""
-    system, pairs = followed(lin)
-    m, k = len(lin.times), len(pairs)
-    settling, overshoot = np.full((m, k), np.nan), np.full((m, k), np.nan)
-    numbers = [(system.input_names.index(source), system.output_names.index(target)) for source, target, _ in pairs]
-    for i in range(m):
+def step_metrics(lin: Linearization, step: SettlingStep = "reference", at: str | None = None) -> StepMetrics:
+    """Settling [s] and overshoot of all channels at all times of a linearised loop, from its exact step responses.
+
+    ``step``: "reference", or "loop": of T_i = L_i/(1 + L_i) at the analysis point ``at``, one loop at a time, dead time included; at
+    "force" of the axes that a surface resists.
+    Raises ``UnknownPoint`` and ``Unsupported`` as ``loop_step``.
+    """
+    if step == "loop":
+        assert at is not None
+        system, late = loop_step(lin.opened_for(at), at)
+        resisted = {WRENCH[i] for i in _resisted(lin)} if at == "force" else set(system.output_names)
+        numbers = [(i, i) for i, name in enumerate(system.output_names) if name in resisted]
+        channels, late = tuple(system.output_names[i] for i, _ in numbers), late[[i for i, _ in numbers]]
+    else:
+        system, pairs = followed(lin)
+        numbers = [(system.input_names.index(source), system.output_names.index(target)) for source, target, _ in pairs]
+        channels, late = tuple(name for *_, name in pairs), np.zeros(len(pairs))
+    settling, overshoot = np.full((len(lin.times), len(numbers)), np.nan), np.full((len(lin.times), len(numbers)), np.nan)
+    for i in range(len(lin.times)):
         point = point_of(system, i)
         for j, (into, out) in enumerate(numbers):
             found = point.step(into, out)
-            settling[i, j], overshoot[i, j] = found.settling, found.overshoot
+            settling[i, j], overshoot[i, j] = found.settling + late[j], found.overshoot
             if found.steady_state == 0.0:
                 settling[i, j] = np.nan
-    return StepMetrics(lin.times, tuple(name for *_, name in pairs), settling, overshoot)
+    return StepMetrics(lin.times, channels, settling, overshoot)
 
 
 def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]]:
@@ -70,10 +83,16 @@ def _held(rows: Array) -> Array:
 
 
 def _forces(lin: Linearization, axes: tuple[int, ...]) -> list[tuple[str, str, str]]:
-    """F_d -> F_tip of the tool axes that a surface resists, by its stiffness and damping in tool axes; forces and moments separately."""
+    """F_d -> F_tip of the tool axes that a surface resists."""
+    resisted = _resisted(lin) if "F_d_fx" in lin.input_names else ()
+    return [(f"F_d_{WRENCH[i]}", f"F_tip_{WRENCH[i]}", f"F_{WRENCH[i]}") for i in axes if i in resisted]
+
+
+def _resisted(lin: Linearization) -> tuple[int, ...]:
+    """The tool axes that a surface resists, by its stiffness and damping in tool axes; forces and moments separately."""
     equations = lin.equations
-    if not equations.surfaces or "F_d_fx" not in lin.input_names:
-        return []
+    if not equations.surfaces:
+        return ()
     q = np.ascontiguousarray(lin.point.x[:, equations.parts["q"].where])
     X = equations.robot.pose(q)
     size = np.zeros(6)
@@ -83,7 +102,7 @@ def _forces(lin: Linearization, axes: tuple[int, ...]) -> list[tuple[str, str, s
             turn = np.kron(np.eye(2), R)
             size = np.maximum(size, np.diag(turn.T @ (surface.K + surface.B) @ turn))
     largest = np.repeat([size[:3].max(), size[3:].max()], 3)
-    return [(f"F_d_{WRENCH[i]}", f"F_tip_{WRENCH[i]}", f"F_{WRENCH[i]}") for i in axes if size[i] > RESISTED * largest[i] and largest[i] > 0]
+    return tuple(i for i in range(6) if size[i] > RESISTED * largest[i] and largest[i] > 0)
 
 
 def _with_followed_pose(system: OpenSystem) -> OpenSystem:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mfc_analysis.analysis.loop_step import SettlingStep
 from mfc_analysis.analysis.slow import parts
 from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
 from mfc_analysis.analysis.system import HORIZON, close_wires
@@ -59,8 +60,9 @@ class Evidence:
     Args:
         equations: those of a ``ClosedLoop``.
         times: (m,) [s], strictly increasing, or one number.
-        at: analysis point of margins and disk margin; None: the plant input.
+        at: analysis point of margins, disk margin and loop steps; None: the plant input.
         horizon: [s] of the verdict.
+        step: whose settling and overshoot, "reference" or "loop".
 
     Raises BadArgument, UnknownPoint for ``at``.
     """
@@ -69,6 +71,7 @@ class Evidence:
     times: Array
     at: str | None = None
     horizon: float = HORIZON
+    step: SettlingStep = "reference"
     _cache: dict[str, Found] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -112,10 +115,10 @@ class Evidence:
 
     @cached_property
     def steps(self) -> StepMetrics:
-        """Settling and overshoot of the step from every reference channel to its coordinate."""
+        """Settling and overshoot of the steps from every reference channel to its coordinate, or of every loop at ``at``."""
         from mfc_analysis.linearization.tracking_steps import step_metrics
 
-        return step_metrics(self.linearization)
+        return step_metrics(self.linearization, self.step, self.at)
 
     @cached_property
     def run(self) -> Simulation:
@@ -253,11 +256,13 @@ def _step(e: Evidence, name: str) -> Found:
     if not e.judged.all():
         return e._unstable()
     values = getattr(e.steps, name)
+    looped = e.step == "loop"
     if values.size == 0:
-        return Found(np.nan, "", None, "no reference channel has a coordinate that follows it")
+        return Found(np.nan, "", None, f"no loop goes through {e.at!r}" if looped else "no reference channel has a coordinate that follows it")
     found = _worst(values, e.steps.channels, e.times, True)
     if np.isnan(found.value):
-        return found._replace(note="the coordinate does not follow its reference to a steady value")
+        what = "T = L/(1 + L) does not reach a steady value" if looped else "the coordinate does not follow its reference to a steady value"
+        return found._replace(note=what)
     return found._replace(note="does not settle within the horizon: a slow root integrates the step") if np.isinf(found.value) else found
 
 

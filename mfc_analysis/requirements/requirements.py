@@ -21,6 +21,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfc_analysis.analysis.loop_step import STEPS, SettlingStep
 from mfc_analysis.analysis.system import HORIZON, checked_horizon
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.loop import ClosedLoop
@@ -41,6 +42,11 @@ class Kind:
     least: bool  #: True: at least (margins); False: at most
     low: float = 0.0
     high: float = inf
+    of_step: bool = False  #: a metric of a step: ``Requirements.step`` says which
+
+    def said(self, step: SettlingStep) -> str:
+        """The name in words, with the step where it is of one."""
+        return f"{self.label} ({STEPS[step]})" if self.of_step else self.label
 
 
 KINDS: Mapping[str, Kind] = {
@@ -51,11 +57,12 @@ KINDS: Mapping[str, Kind] = {
     "sensitivity_peak": Kind("sensitivity peak", "", False, low=1.0),
     "damping_ratio": Kind("damping ratio", "", True, high=1.0),
     "disk_margin": Kind("disk margin", "", True, high=2.0),
-    "settling_time": Kind("settling time", "s", False),
-    "overshoot": Kind("overshoot", "", False),
+    "settling_time": Kind("settling time", "s", False, of_step=True),
+    "overshoot": Kind("overshoot", "", False, of_step=True),
     "tracking_error": Kind("tracking error", "rad or m", False),
     "torque_fraction": Kind("torque fraction", "", False),
 }
+SETTINGS = ("horizon", "step")  #: fields that say how the others are meant
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +71,7 @@ class Verdict:
 
     lines: tuple[Line, ...]
     loop: str  #: the loop in words
-    at: str  #: analysis point of the margins
+    at: str  #: analysis point of the margins and loop steps
     times: np.ndarray[Any, np.dtype[np.float64]]  #: (m,) [s]
     notes: tuple[str, ...]  #: remarks, a sentence each
     drifts: bool
@@ -102,7 +109,8 @@ class Verdict:
         rows = [("", "requirement", "found", "asked", "distance", "where", ""), *(line.cells() for line in self.lines)]
         wide = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
         table = ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, wide, strict=True)).rstrip() for row in rows]
-        return "\n".join([f"{self.status.value}: {self.loop}; margins at {self.at!r}; {when}", *table, *(f"  note: {note}" for note in self.notes)])
+        judged = "margins and loop steps" if self.evidence.step == "loop" else "margins"
+        return "\n".join([f"{self.status.value}: {self.loop}; {judged} at {self.at!r}; {when}", *table, *(f"  note: {note}" for note in self.notes)])
 
     __repr__ = __str__
 
@@ -121,8 +129,12 @@ class Requirements:
 
     The margins hold at every time and channel of the analysis point, one loop at a time with the others closed.
 
+    ``step`` says whose settling time and overshoot are meant, here and in ``mfc.gains``. "reference": a unit step of every reference
+    channel to its coordinate, the derivatives of the reference zero (q_d -> q with v_d = 0), as ``lin.step`` gives it. "loop": the step
+    response of T = L/(1 + L) of every channel of the analysis point. The L of a design helper is that of inverse dynamics at "command".
+
     Raises:
-        BadArgument: a value is not a number, not finite, or outside the range of the metric.
+        BadArgument: a value is not a number, not finite, or outside the range of the metric; ``step="loop"`` with no metric of a step.
     """
 
     gain_increase_db: float | None = None  #: [dB] the gain may grow by at least this
@@ -132,11 +144,12 @@ class Requirements:
     sensitivity_peak: float | None = None  #: at most; >= 1
     damping_ratio: float | None = None  #: of every closed-loop pole that is not slow; 0 .. 1 (dead time: of the rightmost roots)
     disk_margin: float | None = None  #: alpha, all channels at once; 0 .. 2
-    settling_time: float | None = None  #: [s] 2 % settling of every linear step from a reference channel to its coordinate
+    settling_time: float | None = None  #: [s] 2 % settling of every linear step of the kind ``step``
     overshoot: float | None = None  #: fraction of the final value, of the same steps
     tracking_error: float | None = None  #: [rad, m] largest component of e (X_e) in a nonlinear run along the reference, integrals at 0
     torque_fraction: float | None = None  #: largest commanded torque / limit in that run (velocity laws: velocity / limit)
     horizon: float = HORIZON  #: [s] of the verdict: roots with |s| < 1/horizon are slow; inf: every root is judged by its sign
+    step: SettlingStep = "reference"  #: of settling time and overshoot, as in ``mfc.gains``; see above
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "horizon", checked_horizon(self.horizon))
@@ -144,6 +157,9 @@ class Requirements:
             given = getattr(self, name)
             if given is not None:
                 object.__setattr__(self, name, checks.number(name, given, low=kind.low, high=kind.high))
+        checks.choice("step", self.step, tuple(STEPS))
+        if self.step != "reference" and not any(KINDS[name].of_step for name in self.asked()):
+            raise BadArgument("step", self.step, "a settling_time or an overshoot with it: no other requirement is of a step")
 
     @classmethod
     def from_mapping(cls, asked: Mapping[str, Any]) -> Self:
@@ -151,8 +167,8 @@ class Requirements:
         if not isinstance(asked, Mapping):
             raise BadArgument("requirements", asked, f"a mapping of some of {', '.join(KINDS)} to numbers")
         for name in asked:
-            if name not in (*KINDS, "horizon"):
-                raise UnknownName("requirements", name, (*KINDS, "horizon"))
+            if name not in (*KINDS, *SETTINGS):
+                raise UnknownName("requirements", name, (*KINDS, *SETTINGS))
         return cls(**asked)
 
     def asked(self) -> dict[str, float]:
@@ -163,7 +179,8 @@ class Requirements:
     def code(self) -> str:
         """Python code of this object."""
         horizon = {} if self.horizon == HORIZON else {"horizon": f"float({str(self.horizon)!r})" if isinf(self.horizon) else repr(self.horizon)}
-        said = {name: repr(limit) for name, limit in self.asked().items()} | horizon
+        step = {} if self.step == "reference" else {"step": repr(self.step)}
+        said = {name: repr(limit) for name, limit in self.asked().items()} | horizon | step
         return f"mfc.Requirements({', '.join(f'{name}={text}' for name, text in said.items())})"
 
     def check(self, loop: ClosedLoop, times: ArrayLike, at: str | None = None) -> Verdict:
@@ -171,14 +188,15 @@ class Requirements:
 
         Args:
             times: (m,) [s] of the linearisation about the reference; the nonlinear run goes from the first to the last.
-            at: analysis point of the margins; None: the plant input.
+            at: analysis point of the margins and loop steps; None: the plant input.
 
-        Raises BadArgument (not a loop, times), UnknownPoint for ``at``, NearSingular.
+        Raises BadArgument (not a loop, times), UnknownPoint for ``at``, NearSingular; Unsupported for loop steps at "position" through dead
+        time without a velocity filter.
         """
         checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
-        evidence = Evidence(loop.equations, checks.times(times), at, self.horizon)
+        evidence = Evidence(loop.equations, checks.times(times), at, self.horizon, self.step)
         lines = [_stable(evidence)]
-        lines += [compared(name, limit, evidence.found(name)) for name, limit in self.asked().items()]
+        lines += [compared(name, limit, evidence.found(name), self.step) for name, limit in self.asked().items()]
         lines += _residual(evidence, self.tracking_error)
         lines.sort(key=lambda line: line.severity, reverse=True)
         assert evidence.at is not None
@@ -187,19 +205,20 @@ class Requirements:
 
     def __str__(self) -> str:
         parts = [
-            f"{KINDS[name].label} {'≥' if KINDS[name].least else '≤'} {limit:g} {KINDS[name].unit}".rstrip() for name, limit in self.asked().items()
+            f"{KINDS[name].said(self.step)} {'≥' if KINDS[name].least else '≤'} {limit:g} {KINDS[name].unit}".rstrip()
+            for name, limit in self.asked().items()
         ]
         return "stable" if not parts else "stable, " + ", ".join(parts)
 
 
-def compared(name: str, limit: float, found: Found) -> Line:
+def compared(name: str, limit: float, found: Found, step: SettlingStep = "reference") -> Line:
     """The line of one requirement: the value found against the limit. NaN fails."""
     kind = KINDS[name]
     met = found.value >= limit if kind.least else found.value <= limit
     distance = found.value - limit if kind.least else limit - found.value
     status = Status.PASS if met else Status.FAIL
     sense = "≥" if kind.least else "≤"
-    return Line(name, limit, found.value, kind.unit, distance, status, found.where, found.when, sense, label=kind.label, note=found.note)
+    return Line(name, limit, found.value, kind.unit, distance, status, found.where, found.when, sense, label=kind.said(step), note=found.note)
 
 
 def _stable(evidence: Evidence) -> Line:

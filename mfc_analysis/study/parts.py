@@ -295,7 +295,7 @@ class Parts:
         from mfc_analysis.requirements.requirements import Requirements
 
         with self.within("requirements"):
-            horizon = {} if self.table.horizon is None else {"horizon": self.table.horizon}
+            horizon: dict[str, Any] = {} if self.table.horizon is None else {"horizon": self.table.horizon}
             return Requirements(**self.table.requirements.given(), **horizon)
 
     # --- loops ---------------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
+from mfc_analysis.analysis.loop_step import SettlingStep
 from mfc_analysis.robots.catalogue import EMBEDDED
 from mfc_analysis.study.tables import Number, Pose, ReferenceTable, Table, Three, Values, Vector, is_number, takes
 
@@ -110,6 +111,7 @@ class GainsTable(Table):
     crossover: Number | None = None
     crossover_hz: Number | None = None
     settling_time: Number | None = None
+    step: SettlingStep | None = None  #: of settling_time, "reference" if omitted
     damping: Number | None = None
     inertia: Values | None = None  #: p, pi, pd, pid
     stiffness: Number | None = None  #: force_pi, as the next three
@@ -260,6 +262,7 @@ class RequirementsTable(Table):
     overshoot: Number | None = None
     tracking_error: Number | None = None
     torque_fraction: Number | None = None
+    step: SettlingStep | None = None  #: of settling_time and overshoot, "reference" if omitted
 
 
 class SpanTable(Table):

@@ -74,9 +74,9 @@ def test_what_is_printed_has_a_line_for_each_gain_and_note_with_units():
 
 def test_figures_of_several_joints_are_printed_as_a_range_and_equal_ones_as_one_number():
     several = np.array([10.0, 20.0])
-    said = str(Achieved(2 * np.pi * several, several, np.array([0.5, 0.5 * (1 + 1e-9)]), 3.0, 0.7, 60.0))
+    said = str(Achieved(2 * np.pi * several, several, np.array([0.5, 0.5 * (1 + 1e-9)]), 0.36, 3.0, 0.7, 60.0))
     assert "bandwidth 62.83 .. 125.7 rad/s (10 .. 20 Hz)" in said and "crossover 10 .. 20 rad/s" in said
-    assert "settling 0.5 s" in said and "damping 0.7" in said and "phase margin 60 deg" in said
+    assert "settling 0.5 s (step of the reference), 0.36 s (step of the loop, T)" in said and "damping 0.7" in said and "phase margin 60 deg" in said
 
 
 def test_a_damping_matrix_takes_part_in_numpy_as_its_matrix():

@@ -41,7 +41,7 @@ def test_an_unstable_loop_has_no_metrics() -> None:
     f = loop_metrics([1.0], [1.0, 0.0, 0.0, 0.0])
     assert not f.stable
     assert math.isnan(f.bandwidth)
-    assert math.isnan(f.settling_time)
+    assert math.isnan(f.settling_time) and math.isnan(f.loop_settling_time)
 
 
 def test_a_loop_that_never_reaches_one_has_an_infinite_crossover_and_never_settles() -> None:
@@ -55,3 +55,47 @@ def test_scale_does_not_matter() -> None:
     assert fast.bandwidth == pytest.approx(1e6 * slow.bandwidth, rel=1e-12)
     assert fast.settling_time == pytest.approx(1e-6 * slow.settling_time, rel=1e-9)
     assert math.isnan(loop_metrics([1.0], [1.0, 0.0], settle=False).settling_time)
+
+
+def last_outside(error, end: float) -> float:
+    """[s] the last time at which |error(t)| is 0.02: from a fine grid, then by bisection."""
+    t = np.linspace(0.0, end, 200_001)
+    k = int(np.flatnonzero(np.abs(error(t)) > 0.02)[-1])
+    low, high = t[k], t[k + 1]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if abs(error(middle)) > 0.02 else (low, middle)
+    return float(low)
+
+
+@pytest.mark.parametrize(
+    ("num", "den", "reference", "follows", "of_loop"),
+    [  # poles all at -1: the errors of the step of the reference, and of T
+        ([2.0, 1], [1.0, 0, 0], [1.0], lambda t: (1 + t) * np.exp(-t), lambda t: (1 - t) * np.exp(-t)),
+        ([3.0, 3, 1], [1.0, 0, 0, 0], [3.0, 1], lambda t: (1 + t - t**2) * np.exp(-t), lambda t: (1 - 2 * t + t**2 / 2) * np.exp(-t)),
+    ],
+)
+def test_the_steps_of_the_reference_and_of_the_loop_have_their_closed_forms(num, den, reference, follows, of_loop) -> None:
+    f = loop_metrics(num, den, reference=reference)
+    assert f.settling_time == pytest.approx(last_outside(follows, 40.0), rel=1e-9)
+    assert f.loop_settling_time == pytest.approx(last_outside(of_loop, 40.0), rel=1e-9)
+    same = loop_metrics(num, den)
+    assert same.settling_time == same.loop_settling_time == f.loop_settling_time
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.02, 0.05])
+@pytest.mark.parametrize("damping", [0.3, 0.9])
+def test_both_settling_times_agree_with_a_sum_of_modes(damping: float, lag: float) -> None:
+    kp, ki, kd = 1 + 2 * damping, 1.0, 1 + 2 * damping
+    num, den = [kd, kp, ki], [lag, 1.0, 0.0, 0.0, 0.0] if lag else [1.0, 0.0, 0.0, 0.0]
+    closed = np.polyadd(num, den)
+    poles = np.roots(closed)
+
+    def of(over):
+        parts = np.polyval(over, poles) / (poles * np.polyval(np.polyder(closed), poles))
+        return lambda t: np.real(np.exp(np.multiply.outer(t, poles)) @ parts)
+
+    f = loop_metrics(num, den, reference=[kp, ki])
+    end = 16 / float(np.min(-poles.real))
+    assert f.settling_time == pytest.approx(last_outside(of([kp, ki]), end), rel=1e-9)
+    assert f.loop_settling_time == pytest.approx(last_outside(of(num), end), rel=1e-9)

@@ -42,7 +42,7 @@ def test_every_law_requirement_hardware_field_and_reference_can_be_said():
     said = set(LawTable.model_fields)
     for law in laws.LAWS.values():
         assert {f.name for f in fields(law) if f.init} <= said
-    assert set(RequirementsTable.model_fields) == set(KINDS)
+    assert set(RequirementsTable.model_fields) == {*KINDS, "step"}
     assert set(HardwareTable.model_fields) == {f.name for f in fields(mfc.Hardware)}
     shown = {name for name in dir(trajectories) if isinstance(getattr(trajectories, name), type)}
     abstract_or_result = {"JointReference", "ToolReference", "JointPoint", "ToolPoint", "JointPath"}

@@ -258,7 +258,7 @@ def step_words(run: StepRun) -> str:
         first = "the linear response returns to zero"
     else:
         first = (
-            f"linear model: rise time {Number(found.rise, 's')}, settling time {Number(found.settling, 's')}, overshoot"
+            f"linear model, step of the reference: rise time {Number(found.rise, 's')}, settling time {Number(found.settling, 's')}, overshoot"
             f" {written(100 * found.overshoot)} %"
         )
     if run.said:
