@@ -11,13 +11,14 @@ The sum of its poles is fixed by the plant, 1/T + b/m, so that placing a pair an
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.gains.scalar_loop import LoopMetrics, loop_metrics
+from mfc_analysis.gains.scalar_loop import BOTH, LoopMetrics, loop_metrics
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.roots import root_between
 
@@ -76,11 +77,9 @@ def force_design(name: str, value: float, k: float, m: float, T: float, b: float
     if name == "natural_frequency":
         return _finished(name, value, _placed(value, 1.0, k, m, T, b, zeta), k, m, T, b)
 
-    settles = name.endswith("settling_time")
-
     def metric(log_s: float) -> float:
         w, r = _family(math.exp(log_s), k, m, T, b, zeta)
-        f = _metrics(*_placed(w, r, k, m, T, b, zeta)[:3], k, m, T, b, settle=settles)
+        f = _metrics(*_placed(w, r, k, m, T, b, zeta)[:3], k, m, T, b, settle=(name,))
         return float(getattr(f, name)) if f.stable else math.nan
 
     grid = np.linspace(math.log(1e-5), math.log(_highest(k, m, T, b, zeta)), 121)
@@ -92,7 +91,7 @@ def force_design(name: str, value: float, k: float, m: float, T: float, b: float
             continue
     sign = np.sign(known - value)
     crossed = sign[:-1] * sign[1:] <= 0
-    if settles:  # where it grows with s, the integral is too weak to matter within the band, or the response begins to leave the band again
+    if name in BOTH:  # where it grows with s, the integral is too weak to matter within the band, or the response begins to leave the band again
         crossed &= sign[:-1] > sign[1:]
     why = None
     for left, right in zip(grid[:-1][crossed], grid[1:][crossed], strict=True):
@@ -165,7 +164,7 @@ def _loop(kfp: float, kfi: float, kdamp: float, k: float, m: float, T: float, b:
     return [k * kfp, k * kfi], [m * T, m + b * T, b + kdamp + k * T, k, 0.0]
 
 
-def _metrics(kfp: float, kfi: float, kdamp: float, k: float, m: float, T: float, b: float, settle: bool = True) -> LoopMetrics:
+def _metrics(kfp: float, kfi: float, kdamp: float, k: float, m: float, T: float, b: float, settle: Container[str] = BOTH) -> LoopMetrics:
     """Of L; the reference is F_d, which is also fed forward: k_e ((1 + kfp) s + kfi) over the characteristic polynomial."""
     return loop_metrics(*_loop(kfp, kfi, kdamp, k, m, T, b), settle=settle, reference=[k * (1 + kfp), k * kfi])
 
@@ -182,7 +181,7 @@ def _finished(name: str, value: float, placed: Placed, k: float, m: float, T: fl
     found = w if name == "natural_frequency" else float(getattr(metrics, name))
     if not metrics.stable or not confirmed or not abs(found / value - 1) <= 1e-6:
         raise BadArgument(name.removeprefix("loop_"), value, f"another value: the nearest loop attains {found:.6g}")
-    tracking = loop_metrics([k * (1 + kfp), k * kfi], [*closed[:3], 0.0, 0.0], settle=False).bandwidth
+    tracking = loop_metrics([k * (1 + kfp), k * kfi], [*closed[:3], 0.0, 0.0], settle=()).bandwidth
     return ForceDesign(kfp, kfi, kdamp, w, zeta, p, metrics, tracking, stiffness_range(kfp, kfi, kdamp, m, T, b))
 
 
@@ -193,7 +192,7 @@ def _unattainable(name: str, value: float, known: Array, k: float, m: float, T: 
         return BadArgument(name.removeprefix("loop_"), value, "a stiffness, mass, lag and friction for which some gains >= 0 are stable")
     forward = name == "settling_time" and bool(np.isfinite(known[0]))  # F_d is fed forward: without an integral the force settles all the same
     fine = known[np.nanargmax(known) :] if forward else fine
-    slow = (value < np.nanmin(fine)) != name.endswith("settling_time")
+    slow = (value < np.nanmin(fine)) != (name in BOTH)
     why = f"less needs a negative kdamp at friction {b:g} N s/m: specify more damping" if slow else f"more is not possible with a lag of {T:g} s"
     why = "a slower loop settles sooner, because F_d is fed forward and its error is within the band" if slow and forward else why
     return BadArgument(name.removeprefix("loop_"), value, f"{np.nanmin(fine):.4g} to {np.nanmax(fine):.4g} on {k:g} N/m with gains >= 0; {why}")

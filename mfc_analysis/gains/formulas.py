@@ -36,7 +36,7 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.gains.force_loop import force_design
 from mfc_analysis.gains.joints import coupled_loop, motion
 from mfc_analysis.gains.result import Achieved, DampingMatrix, Gains, Value
-from mfc_analysis.gains.scalar_loop import LoopMetrics, loop_metrics
+from mfc_analysis.gains.scalar_loop import BOTH, SETTLING, LoopMetrics, loop_metrics
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.coupling import warn_without_armature
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 __all__ = ["Achieved", "DampingMatrix", "Gains", "cartesian_damping", "force_pi", "joint_pid", "p", "pd", "pi", "pid"]
 
 _ASKED = ("bandwidth", "natural_frequency", "crossover", "settling_time")
-_SETTLING = {"reference": "settling_time", "loop": "loop_settling_time"}  # step -> field of LoopMetrics and Achieved
 _DEFINITIONS = {
     "bandwidth": "the frequency where T = L/(1 + L) falls to -3 dB (1/sqrt 2), rad/s",
     "natural_frequency": "the natural frequency of the dominant poles, rad/s",
@@ -171,7 +170,7 @@ def joint_pid(
     notes = [f"inertia {where.where}: {np.array2string(inertia, precision=5, separator=', ')} kg m^2 (kg for prismatic joints), armature included"]
     if np.any(where.smallest < inertia * (1 - 1e-9)):
         loops = zip(*(np.asarray(made[name]) for name in ("kd", "kp", "ki")), where.smallest, strict=True)
-        light = [loop_metrics([kd, kp, ki], [lightest, 0, 0, 0], settle=False) for kd, kp, ki, lightest in loops]
+        light = [loop_metrics([kd, kp, ki], [lightest, 0, 0, 0], settle=()) for kd, kp, ki, lightest in loops]
         notes.append(f"where a joint is lightest its bandwidth is up to {max(f.bandwidth for f in light):.4g} rad/s")
     warn_without_armature(robot, where.q)
     coupled = coupled_loop(robot, made, where, torque_lag, delay)
@@ -298,7 +297,7 @@ def _one_of(step: SettlingStep, *given: float | None) -> tuple[str, float]:
     value = checks.number(name, value, low=1e-9, high=1e9)
     if name != "settling_time" and step != "reference":
         raise BadArgument("step", step, f"a settling_time with it: {name} does not depend on a step")
-    return _SETTLING[step] if name == "settling_time" else name, value
+    return SETTLING[step] if name == "settling_time" else name, value
 
 
 def _asked_for(name: str, value: float) -> str:
@@ -326,7 +325,7 @@ def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayL
     name, value = asked
     unit = _unit_metrics(kind, zeta)
     metric = 1.0 if name == "natural_frequency" else float(getattr(unit, name))
-    w = metric / value if name in _SETTLING.values() else value / metric
+    w = metric / value if name in BOTH else value / metric
     formula, loop, factors = _FORMULAS[kind]
     gains: dict[str, Value] = {}
     for gain, (factor, power) in factors(zeta).items():

@@ -8,6 +8,7 @@ derivative the law does not get (v_d = 0), and of the step response of T = L/(1 
 from __future__ import annotations
 
 import math
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,9 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.roots import root_between
+
+SETTLING: Mapping[str, str] = {"reference": "settling_time", "loop": "loop_settling_time"}  #: step -> field of ``LoopMetrics`` and ``Achieved``
+BOTH = tuple(SETTLING.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +34,10 @@ class LoopMetrics:
     tolerance: float = 0.02  #: settling band: 2 %
 
 
-def loop_metrics(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle: bool = True, reference: ArrayLike | None = None) -> LoopMetrics:
-    """Metrics of the loop L = num/den (coefficients, highest power first; strictly proper, T(0) = 1); without ``settle`` its settling times are NaN.
+def loop_metrics(
+    num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle: Container[str] = BOTH, reference: ArrayLike | None = None
+) -> LoopMetrics:
+    """Metrics of the loop L = num/den (coefficients, highest power first; strictly proper, T(0) = 1); settling times not in ``settle`` are NaN.
 
     ``reference``: numerator of the response to the reference, over num + den; omitted: num, as where the law sees the error alone.
     """
@@ -51,10 +57,10 @@ def loop_metrics(num: ArrayLike, den: ArrayLike, tolerance: float = 0.02, settle
     if ones.size:
         L = np.polyval(n, 1j * crossover) / np.polyval(d, 1j * crossover)
         phase = math.degrees(float(np.angle(-L)))
-    of_loop = _settling(d, closed, tolerance) / unit if settle else math.nan
-    of_reference = of_loop if reference is None or not settle else _settling(np.polysub(closed, follows), closed, tolerance) / unit
+    errors = {"settling_time": np.polysub(closed, follows), "loop_settling_time": d}
+    settling = {name: _settling(error, closed, tolerance) / unit if name in settle else math.nan for name, error in errors.items()}
     bandwidth = float(falls[0] * unit) if falls.size else math.inf
-    return LoopMetrics(True, bandwidth, float(crossover * unit), phase, of_reference, of_loop, tolerance)
+    return LoopMetrics(True, bandwidth, float(crossover * unit), phase, **settling, tolerance=tolerance)
 
 
 def _scaled(p: Array, unit: float) -> Array:
@@ -103,6 +109,9 @@ def _settling(error: Array, closed: Array, tolerance: float) -> float:
     def excess(t: float) -> float:
         return abs(float(c @ expm(A * t)[:, 0])) - tolerance
 
+    for end, outside in ((left, True), (right, False)):
+        if (excess(end) > 0) != outside:
+            return float(end)  # on the band, to rounding
     return root_between(excess, left, right, xtol=1e-14 * horizon, rtol=1e-13)
 
 

@@ -54,7 +54,7 @@ def test_scale_does_not_matter() -> None:
     slow, fast = loop_metrics([3.0, 3, 1], [1, 0, 0, 0]), loop_metrics([3e6, 3e12, 1e18], [1, 0, 0, 0])
     assert fast.bandwidth == pytest.approx(1e6 * slow.bandwidth, rel=1e-12)
     assert fast.settling_time == pytest.approx(1e-6 * slow.settling_time, rel=1e-9)
-    assert math.isnan(loop_metrics([1.0], [1.0, 0.0], settle=False).settling_time)
+    assert math.isnan(loop_metrics([1.0], [1.0, 0.0], settle=()).settling_time)
 
 
 def last_outside(error, end: float) -> float:
