@@ -62,6 +62,16 @@ def test_a_failure_names_worst_joint_time_asked_and_found_and_its_code_fails_aga
     assert names["found"].worst.found == pytest.approx(worst[0], rel=1e-9)
 
 
+def test_an_assertion_says_which_step_settles_and_its_code_fails_again():
+    loop = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.ComputedTorque(**mfc.gains.pid(settling_time=0.5, step="loop")), mfc.trajectories.Hold([0.0]))
+    assert_margins(loop, settling_time=0.501, step="loop")
+    said = message(assert_margins, loop, settling_time=0.499, step="loop")
+    assert said.startswith("settling time (loop step) is 0.5 s") and "mfc.Requirements(settling_time=0.499, step='loop')" in said
+    assert message(assert_margins, loop, settling_time=0.501).startswith("settling time (reference step) is 0.69")
+    with pytest.raises(BadArgument, match="step: got"):
+        assert_margins(loop, phase_deg=30, step="loop")
+
+
 def test_an_unstable_loop_fails_every_assertion_and_its_nan_does_not_pass(unstable):
     assert "not stable" in message(assert_stable, unstable)
     assert "not stable" in message(assert_margins, unstable, phase_deg=0)

@@ -102,6 +102,7 @@ delay = 0.002                              # [s] of additional dead time
 sensitivity_peak = 2.0
 # disk_margin = 0.4
 # damping_ratio = 0.5
+# settling_time = 0.5                      # [s] to 2 %, of a step of the reference (v_d = 0); with step = "loop": of T = L/(1 + L)
 # tracking_error = 1e-3                    # [rad, m] in a nonlinear run
 # torque_fraction = 0.9                    # of the torque limits
 

@@ -22,6 +22,8 @@ def test_gains_prints_what_the_helper_returns():
     assert "14.2506" in several and "16.7783" in several and "0.907223" in several and "1.068142" in several
     force = run("gains", "force-pi", "--bandwidth-hz", 1, "--stiffness", 1e4, "--mass", 2, "--lag", 0.001).stdout
     assert force.strip() == str(gains.force_pi(bandwidth=hertz(1), stiffness=1e4, mass=2, lag=0.001))
+    loop = run("gains", "pid", "--settling-time", 0.5, "--step", "loop").stdout
+    assert loop.strip() == str(gains.pid(settling_time=0.5, step="loop")) and "0.5 s (step of the loop, T)" in loop
     arm = run("gains", "joint-pid", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--bandwidth", 20)
     assert arm.exit_code == 0 and "[N" in arm.stdout
     assert run("gains", "cartesian-damping", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--stiffness", 1000).exit_code == 0
@@ -54,6 +56,8 @@ def test_gains_take_the_robot_and_the_pose_of_a_study(tmp_path):
         (("pid", "--bandwidth", 1, "--crossover", 2), "exactly one"),
         (("pid", "--bandwidth", 1, "--bandwidth-hz", 2), "--bandwidth"),
         (("pid", "--bandwidth", -1), "bandwidth"),
+        (("pid", "--bandwidth", 1, "--step", "loop"), "step"),
+        (("pid", "--settling-time", 1, "--step", "q_d"), "'reference', 'loop'"),
         (("p", "--bandwidth", 1, "--damping", 1), "--damping"),
         (("pid", "--bandwidth", 1, "--inertia", "a"), "--inertia"),
         (("joint-pid", "--bandwidth", 1), "--robot"),

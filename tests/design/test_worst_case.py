@@ -48,6 +48,22 @@ def test_cases_that_cannot_be_built_are_recorded_and_not_lost():
         design.worst_case(two_lags, {"gain": (1.0, 5.0), "lag": [-1.0, -2.0, -3.0]}, [0.0])
 
 
+def test_the_worst_settling_time_is_of_the_step_asked_for():
+    def build(mass):
+        law = mfc.laws.JointPID(**mfc.gains.pd(natural_frequency=10.0))
+        return mfc.ClosedLoop(mfc.robots.slider(mass=mass), law, mfc.trajectories.Hold([0.0]))
+
+    for step in ("reference", "loop"):
+        found = design.worst_case(build, {"mass": [1.0, 1.2, 1.4]}, [0.0], "settling_time", step=step)
+        each = [mfc.Requirements(settling_time=0, step=step).check(build(m), [0.0]).line("settling_time").found for m in (1.0, 1.2, 1.4)]
+        assert float(found) == max(each) and f"settling time ({step} step)" in str(found)
+        names: dict = {}
+        exec(found.replay.replace("print(", "verdict = ("), names)
+        assert names["verdict"].line("settling_time").found == pytest.approx(float(found), rel=1e-9)
+    with pytest.raises(BadArgument, match="step: got"):
+        design.worst_case(build, {"mass": [1.0, 1.2, 1.4]}, [0.0], "phase_deg", step="loop")
+
+
 def test_a_metric_of_ones_own_is_minimised():
     found = design.worst_case(
         two_lags, {"gain": (1.0, 5.0), "lag": (1e-3, 2e-2)}, [0.0], lambda loop: -float(loop.linearize([0.0]).poles().real.max())

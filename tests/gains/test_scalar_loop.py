@@ -99,3 +99,13 @@ def test_both_settling_times_agree_with_a_sum_of_modes(damping: float, lag: floa
     end = 16 / float(np.min(-poles.real))
     assert f.settling_time == pytest.approx(last_outside(of([kp, ki]), end), rel=1e-9)
     assert f.loop_settling_time == pytest.approx(last_outside(of(num), end), rel=1e-9)
+
+
+def test_a_band_that_ends_on_a_sample_is_no_failure_of_the_search() -> None:
+    for i in range(1, 300, 3):
+        t = 16 / 0.5 * i / 4000  # the samples of this loop
+        e = math.exp(-t / 2) * (math.cos(math.sqrt(0.75) * t) + math.sin(math.sqrt(0.75) * t) / math.sqrt(3))
+        if abs(e) > 1e-3:
+            ts = loop_metrics([1.0], [1.0, 1.0, 0.0], tolerance=abs(e)).settling_time
+            assert ts > t - 1e-9
+            assert math.exp(-ts / 2) * abs(math.cos(math.sqrt(0.75) * ts) + math.sin(math.sqrt(0.75) * ts) / math.sqrt(3)) == pytest.approx(abs(e))

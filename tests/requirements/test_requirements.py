@@ -218,3 +218,85 @@ def test_the_table_has_failures_first_and_every_number():
 def test_a_notebook_shows_the_table_with_words_and_escaped_names():
     page = Requirements(phase_deg=95).check(velocity_p(), [0.0])._repr_html_()
     assert page.startswith("<table>") and "✗ FAIL" in page and "✓ PASS" in page and "≥ 95 deg" in page and "<script" not in page
+
+
+# --- which step --------------------------------------------------------------------------------------------------------------
+
+POSE = [0.0, 0.3, 0.0, -1.2, 0.0, 1.5, 0.3]
+
+
+def inverse_dynamics(name: str, gains, **hardware):
+    robot = mfc.robots.load(name)
+    given = mfc.Hardware(**hardware) if hardware else None
+    return mfc.ClosedLoop(robot, mfc.laws.ComputedTorque(**gains), mfc.trajectories.Hold(POSE[: robot.n]), hardware=given)
+
+
+@pytest.mark.parametrize("step", ["reference", "loop"])
+@pytest.mark.parametrize("name", ["single_joint", "ur5", "panda"])
+def test_gains_for_a_settling_time_meet_the_requirement_of_the_same_name_and_step(name, step):
+    """Found by two ways: the polynomials of the helper, and the step responses of the linearised arm."""
+    asked = 0.5
+    loop = inverse_dynamics(name, mfc.gains.pid(settling_time=asked, step=step))
+    verdict = Requirements(settling_time=1.001 * asked, step=step).check(loop, [0.0], at="command")
+    line = verdict.line("settling_time")
+    assert verdict.passed and line.found == pytest.approx(asked, rel=1e-9) and line.label == f"settling time ({step} step)"
+    assert not Requirements(settling_time=0.999 * asked, step=step).check(loop, [0.0], at="command").passed
+    other = {"reference": "loop", "loop": "reference"}[step]
+    achieved = mfc.gains.pid(settling_time=asked, step=step).achieved
+    expected = {"reference": achieved.settling_time, "loop": achieved.loop_settling_time}[other]
+    assert Requirements(settling_time=1, step=other).check(loop, [0.0], at="command").line("settling_time").found == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["single_joint", "ur5", "panda"])
+def test_by_default_the_helper_and_the_requirement_mean_the_step_of_the_reference(name):
+    loop = inverse_dynamics(name, mfc.gains.pid(settling_time=0.5))
+    assert Requirements(settling_time=0.501).check(loop, [0.0]).passed
+    assert not Requirements(settling_time=0.499).check(loop, [0.0]).passed
+    joint = loop.robot.joint_names[0]
+    assert loop.linearize().step(0, f"q_d_{joint}", f"q_{joint}").settling == pytest.approx(0.5, rel=1e-9)
+
+
+@pytest.mark.parametrize("lag", [2e-3, 1e-2])
+def test_with_a_lag_both_steps_are_those_of_the_polynomials(lag):
+    """On a mass the torque loop is kd s^2 + kp s + ki over s^3 (lag s + 1)."""
+    from mfc_analysis.gains.scalar_loop import loop_metrics
+
+    g = mfc.gains.pid(settling_time=0.5)
+    loop = mfc.ClosedLoop(mfc.robots.slider(mass=3.0), mfc.laws.ComputedTorque(**g), hold(), hardware=mfc.Hardware(torque_lag=lag))
+    f = loop_metrics([g.kd, g.kp, g.ki], [lag, 1.0, 0.0, 0.0, 0.0], reference=[g.kp, g.ki])
+    for step, value in (("reference", f.settling_time), ("loop", f.loop_settling_time)):
+        assert Requirements(settling_time=1.001 * value, step=step).check(loop, [0.0]).passed
+        assert not Requirements(settling_time=0.999 * value, step=step).check(loop, [0.0]).passed
+        assert Requirements(settling_time=1, step=step).check(loop, [0.0]).line("settling_time").found == pytest.approx(value, rel=1e-9)
+
+
+@pytest.mark.parametrize(("step", "at"), [("reference", None), ("loop", "force")])
+@pytest.mark.parametrize("lag", [0.0, 5e-3])
+def test_force_gains_meet_the_requirement_of_the_same_step(step, at, lag):
+    k, m = 2e3, 3.0
+    g = mfc.gains.force_pi(settling_time=0.4, step=step, stiffness=k, mass=m, lag=lag)
+    law = mfc.laws.DampedForcePI([0, 0, 5, 0, 0, 0], **g)
+    hardware = mfc.Hardware(torque_lag=lag) if lag else None
+    loop = mfc.ClosedLoop(mfc.robots.slider(mass=m), law, hold(q=0.0), environment=mfc.Environment(k, preload=5.0), hardware=hardware)
+    assert Requirements(settling_time=1, step=step).check(loop, [0.0], at=at).line("settling_time").found == pytest.approx(0.4, rel=1e-6)
+    assert Requirements(settling_time=0.4004, step=step).check(loop, [0.0], at=at).passed
+    assert not Requirements(settling_time=0.3996, step=step).check(loop, [0.0], at=at).passed
+
+
+def test_the_step_is_said_wherever_the_requirement_is():
+    req = Requirements(settling_time=0.5, overshoot=0.2, phase_deg=30, step="loop")
+    assert req == eval(req.code, {"mfc": mfc}) and "step='loop'" in req.code
+    assert Requirements.from_mapping({"settling_time": 0.5, "step": "loop"}) == Requirements(settling_time=0.5, step="loop")
+    assert str(req) == "stable, phase margin ≥ 30 deg, settling time (loop step) ≤ 0.5 s, overshoot (loop step) ≤ 0.2"
+    assert "settling time (reference step)" in str(Requirements(settling_time=0.5)) and "step" not in Requirements(settling_time=0.5).code
+    said = str(req.check(triple_pole(), [0.0], at="command"))
+    assert "margins and loop steps at 'command'" in said and "overshoot (loop step)" in said
+    for kd, why in ((2.0, "T = L/(1 + L) does not reach a steady value"), (0.0, "no loop goes through 'torque'")):  # a link that hangs
+        link = mfc.ClosedLoop(mfc.robots.single_joint(damping=1.0), mfc.laws.JointPID(0.0, kd=kd), hold(q=-math.pi / 2))
+        assert Requirements(overshoot=1, step="loop").check(link, [0.0]).line("overshoot").note == why
+
+
+@pytest.mark.parametrize("given", [{"step": "loop"}, {"step": "loop", "phase_deg": 30}, {"step": "T", "settling_time": 1}, {"step": 1}])
+def test_a_step_that_no_requirement_is_of_and_an_unknown_one_are_refused(given):
+    with pytest.raises(BadArgument, match="step: got"):
+        Requirements(**given)

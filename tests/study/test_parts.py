@@ -202,6 +202,20 @@ def test_a_bad_line_of_a_path_names_file_and_line(tmp_path):
     assert why.key.startswith("reference") and "line 2" in str(why)
 
 
+def test_a_study_says_which_step_settles(tmp_path):
+    text = f'q_start = {Q}\n[robot]\nname = "ur5"\n[law]\nequation = "9.10"\ngains = {{{{ helper = "pid", settling_time = 0.5{{gains}} }}}}\n'
+    text += '[reference]\nkind = "Hold"\n[requirements]\nsettling_time = 0.501\n{asked}'
+    loop = 'step = "loop"'
+    one = study(tmp_path, text.format(gains=f", {loop}", asked=loop)).loops[0]
+    assert one.requirements == mfc.Requirements(settling_time=0.501, step="loop")
+    assert one.loop.law.kp.array == mfc.gains.pid(settling_time=0.5, step="loop").kp
+    assert one.requirements.check(one.loop, [0.0], at="command").passed
+    default = study(tmp_path, text.format(gains="", asked="")).loops[0]
+    assert default.requirements.step == "reference" and default.requirements.check(default.loop, [0.0]).passed
+    assert "requirements.step" in str(refused(tmp_path, text.format(gains="", asked='step = "q_d"')))
+    assert "a settling_time or an overshoot with it" in str(refused(tmp_path, text.format(gains="", asked=loop).replace("settling_time = 0.501", "")))
+
+
 # --- laws --------------------------------------------------------------------------------------------------------------------
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import isfinite
 
+from mfc_analysis.analysis.loop_step import STEPS
 from mfc_analysis.report.document.document import found_of
 from mfc_analysis.report.loops.points import METRICS, PEAK, Smallest
 from mfc_analysis.requirements.line import Line, Status
@@ -29,8 +30,8 @@ def checks(lines: Iterable[Line], point: str = "", least: Mapping[str, Smallest]
 
 
 def _placed(line: Line, point: str, least: Mapping[str, Smallest]) -> Line:
-    """The line with its analysis point, and with a smaller margin at another one."""
-    if line.name not in METRICS or not line.where or not point:
+    """The line with its analysis point where it has one (margins, loop steps), and with a smaller margin at another one."""
+    if not (line.name in METRICS or line.label.endswith(f"({STEPS['loop']})")) or not line.where or not point:
         return line
     line = replace(line, where=f"{line.where} at “{point}”")
     other = least.get(line.name)

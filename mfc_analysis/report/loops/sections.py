@@ -220,6 +220,7 @@ def time_section(view: View) -> Section:
     numbers = {
         "channel": run.channel,
         "size": run.size,
+        "step": "reference",
         "rise": run.linear.rise,
         "settling": run.linear.settling,
         "overshoot": run.linear.overshoot,

@@ -10,7 +10,7 @@ import pytest
 from mfc_analysis.report.document.document import found_of, limit_of
 from mfc_analysis.report.loops.checks import checks
 from mfc_analysis.requirements.line import Line, Status
-from mfc_analysis.requirements.requirements import Requirements
+from mfc_analysis.requirements.requirements import KINDS, Requirements
 from tests.report.loops.views import open_loop
 
 
@@ -28,6 +28,13 @@ def test_a_line_is_shown_in_a_readers_units(line: Line, found: str, limit: str) 
     (shown,) = checks([line])
     assert (str(found_of(shown)), str(limit_of(shown))) == (found, limit)
     assert (shown.status, shown.place, shown.label) == (line.status, line.place, line.label)
+
+
+def test_a_loop_step_names_its_analysis_point_and_a_step_of_the_reference_has_none() -> None:
+    for step, where in (("reference", "elbow"), ("loop", "elbow at “torque”")):
+        label = KINDS["settling_time"].said(step)
+        (shown,) = checks([Line("settling_time", 0.5, 0.4, "s", 0.1, Status.PASS, "elbow", 0.0, "≤", label=label)], "torque")
+        assert (shown.where, shown.label) == (where, f"settling time ({step} step)")
 
 
 def test_without_a_fast_root_a_line_says_that_nothing_holds_the_loop() -> None:
