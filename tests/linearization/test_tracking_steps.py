@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mfc_analysis as mfc
+from mfc_analysis.linearization.tracking_steps import step_metrics
 from mfc_analysis.requirements.requirements import Requirements
 from tests.requirements.test_requirements import pressing, second_order
 
@@ -25,6 +26,12 @@ def test_tool_steps_of_an_exact_model_are_those_of_the_polynomial():
 def test_force_steps_are_taken_on_the_axes_that_a_surface_resists():
     verdict = Requirements(overshoot=1.0).check(pressing(), [0.0])
     assert verdict.line("overshoot").where == "F_fz"
+
+
+def test_loop_steps_at_the_force_sensor_are_taken_on_the_axes_that_a_surface_resists():
+    """fx and fy are sensed through the damping of the surface alone; the tool slides there, and their loops have no final value."""
+    found = step_metrics(hybrid().linearize([0.0]), "loop", "force")
+    assert found.channels == ("fz",) and np.isfinite(found.settling).all() and found.settling.shape == (1, 1)
 
 
 def hybrid(**hardware):
