@@ -84,12 +84,10 @@ class Linearization:
         """Dead time [s] of the force sensor that A, poles, system and loop leave out."""
         return 0.0 if self.dt else float(self.equations.hardware.force_delay or 0.0)
 
-    @cached_property
+    @property
     def A(self) -> Array:
         """(m, nx, nx) of the closed loop."""
-        if self.dt or not {"opened", "_closed"}.isdisjoint(self.__dict__):
-            return self._closed[0]
-        return closed_matrix(self.equations, self.times, self.point.x, self.coordinates)
+        return self._closed[0]
 
     @property
     def B(self) -> Array:
@@ -172,6 +170,7 @@ class Linearization:
 
     @cached_property
     def reduced(self) -> OpenSystem:
+        """The loop without inputs, outputs and wires where those do not matter for its poles."""
         return self.opened if self.dt else _only_a(self)
 
     @cached_property
@@ -180,7 +179,7 @@ class Linearization:
         if self._samples_in_transit > MANY_SAMPLES:
             return stability(self._sampled(on_wires=True))
         dead = self.delay or self.force_delay
-        return stability(self.opened if dead or self.dt else _only_a(self))
+        return stability(self.opened if dead else self.reduced)
 
     @property
     def stable(self) -> Bools:
@@ -390,7 +389,8 @@ def _coordinates(equations: Equations, asked: Coordinates | None, arm: Configura
 
 def _only_a(lin: Linearization) -> OpenSystem:
     """The closed A alone, as a system without wires: sufficient for poles and stability without dead time."""
-    A = lin.A
+    unknown = {"opened", "_closed"}.isdisjoint(lin.__dict__)
+    A = closed_matrix(lin.equations, lin.times, lin.point.x, lin.coordinates) if unknown else lin.A
     m, nx = A.shape[0], A.shape[1]
     names = lin.equations.state_names
     empty = np.zeros
