@@ -15,14 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument, MfcWarning
-from mfc_analysis.maths import checks
+from mfc_analysis.linearization.chunks import checked_jobs
 
 if TYPE_CHECKING:
     import xarray as xr
 
 ERROR = "error"  #: name of the coordinate with the error message of each point; empty where the point succeeds
-
-MOST_JOBS = 10_000  #: processes of a sweep
 
 
 class Point(NamedTuple):
@@ -57,8 +55,7 @@ def sweep(
         BadArgument: functions that cannot be called, an empty grid or axis, inconsistent results.
     """
     names, axes = _checked(build, grid, measure)
-    if n_jobs is not None and checks.whole("n_jobs", n_jobs, -MOST_JOBS, MOST_JOBS) == 0:
-        raise BadArgument("n_jobs", n_jobs, "a number of processes, or -1 for one on each core")
+    checked_jobs(n_jobs)
     points = [dict(zip(names, values, strict=True)) for values in product(*axes.values())]
     done = list(_run(build, measure, points, n_jobs, progress))
     failed = sum(bool(p.error) for p in done)

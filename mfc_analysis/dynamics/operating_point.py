@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,8 @@ from mfc_analysis.errors import MfcWarning, NotConverged
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, value
 from mfc_analysis.trajectories.inverse_kinematics import follow
+
+CHUNK = 500  #: operating points whose matrices are held at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +57,19 @@ def nominal(equations: Equations, times: Array) -> Nominal:
 
 def on_reference(equations: Equations, times: Array) -> OperatingPoint:
     """Operating points on the reference, integrals trimmed."""
-    return trimmed(equations, times, nominal(equations, times))
+    motion = nominal(equations, times)
+    found = []
+    for k in range(0, len(times), CHUNK):
+        some = slice(k, k + CHUNK)
+        found.append(trimmed(equations, times[some], Nominal(motion.q[some], motion.v[some], motion.a[some])).x)
+    return OperatingPoint(times, np.concatenate(found), None)
+
+
+def chunks(point: OperatingPoint) -> Iterator[OperatingPoint]:
+    """The operating points, ``CHUNK`` at a time."""
+    for k in range(0, len(point.times), CHUNK):
+        some = slice(k, k + CHUNK)
+        yield OperatingPoint(point.times[some], point.x[some], None if point.residual is None else point.residual[some])
 
 
 def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPoint:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter, methodcaller
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -13,15 +15,15 @@ from numpy.typing import ArrayLike
 from mfc_analysis.analysis.spectrum import Pole, pole_table, poles
 from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, close_wires
-from mfc_analysis.dynamics.equations import Equations, timed, warn_near_singular
+from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import Coordinates, External, closed_matrix, closed_system, external, open_system
-from mfc_analysis.dynamics.operating_point import OperatingPoint, nominal, on_reference, residual
-from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint, Unsupported
+from mfc_analysis.dynamics.operating_point import CHUNK, OperatingPoint, chunks, nominal, on_reference, residual
+from mfc_analysis.errors import BadArgument, MfcWarning, UnknownName, UnknownPoint, Unsupported
+from mfc_analysis.linearization.chunks import checked_jobs, each, joined
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
-from mfc_analysis.robots.primitives import Configuration
-from mfc_analysis.robots.singularity import WARN_CONDITION
+from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION, nearest_singular
 from mfc_analysis.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -164,8 +166,10 @@ class Linearization:
 
     # --- poles ---------------------------------------------------------------------------------------------------
 
-    def poles(self) -> Complex:
-        """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; dead time left out."""
+    def poles(self, n_jobs: int | None = None) -> Complex:
+        """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; dead time left out. ``n_jobs`` as ``margins``."""
+        if self._many:
+            return np.concatenate(each(methodcaller("poles"), self._parts(), checked_jobs(n_jobs)))
         return poles(self.reduced)
 
     @cached_property
@@ -176,6 +180,9 @@ class Linearization:
     @cached_property
     def stability(self) -> Stability:
         """The verdict at each time over the horizon, dead time included."""
+        if self._many:
+            verdicts: list[Stability] = each(attrgetter("stability"), self._parts(), None)
+            return joined(verdicts)
         if self._samples_in_transit > MANY_SAMPLES:
             return stability(self._sampled(on_wires=True))
         dead = self.delay or self.force_delay
@@ -244,18 +251,27 @@ class Linearization:
 
     # --- margins and responses -----------------------------------------------------------------------------------
 
-    def margins(self, at: str | None = None) -> Margins:
-        """One-loop-at-a-time margins at ``at``, the others closed: (m, n) metrics. Raises UnknownPoint."""
+    def margins(self, at: str | None = None, n_jobs: int | None = None) -> Margins:
+        """One-loop-at-a-time margins at ``at``, the others closed: (m, n) metrics. Raises UnknownPoint.
+
+        ``n_jobs``: processes for the chunks of 500 times; None: set by ``joblib.parallel_config``, else one. The numbers are the same.
+        """
         from mfc_analysis.analysis.margins import margins
 
         at = self._at(at)
+        if self._many:
+            parts: list[Margins] = each(methodcaller("margins", at), self._parts(), checked_jobs(n_jobs))
+            return joined(parts)
         return margins(self.opened_for(at), at)
 
-    def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None) -> DiskMargin:
-        """Disk margin of all loops at once (m,), at one analysis point or several together. Raises UnknownPoint."""
+    def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None, n_jobs: int | None = None) -> DiskMargin:
+        """Disk margin of all loops at once (m,), at one analysis point or several together; ``n_jobs`` as ``margins``. Raises UnknownPoint."""
         from mfc_analysis.analysis.disk import disk_margin
 
         points = tuple(self._at(one) for one in at) if isinstance(at, (list, tuple)) and at else (self._at(at),)
+        if self._many:
+            parts: list[DiskMargin] = each(methodcaller("disk_margin", points, frequencies), self._parts(), checked_jobs(n_jobs))
+            return joined(parts, bound=min(parts, key=lambda part: np.nan_to_num(part.worst()[0], nan=np.inf)).bound)
         grid = None if frequencies is None else checks.array("frequencies", frequencies, (None,))
         return disk_margin(self.opened_for(*points), points[0] if len(points) == 1 else points, grid)
 
@@ -282,6 +298,17 @@ class Linearization:
     def transient_growth(self) -> TransientGrowth:
         """Largest singular value of the transition matrix Phi(t, 0) along the path (linear time-varying)."""
         return _transient_growth(self)
+
+    # --- many points ---------------------------------------------------------------------------------------------
+
+    @property
+    def _many(self) -> bool:
+        return len(self.times) > CHUNK
+
+    def _parts(self) -> Iterator[Linearization]:
+        """This linearisation, ``CHUNK`` times at a time."""
+        for some in chunks(self.point):
+            yield replace(self, point=some, run=None)
 
     # --- arguments and text --------------------------------------------------------------------------------------
 
@@ -348,8 +375,8 @@ def linearize(
     checks.choice("about", about, ("reference", "equilibrium", "simulation"))
     horizon = checked_horizon(horizon, equations.sample_time)
     point = _points(equations, times, about, run)
-    arm = _regular(equations, point)
-    return Linearization(equations, point, _coordinates(equations, coordinates, arm), about, run, horizon)
+    sigma = _singular_values(equations, point)
+    return Linearization(equations, point, _coordinates(equations, coordinates, sigma), about, run, horizon)
 
 
 def _points(equations: Equations, times: Array, about: About, run: Simulation | None) -> OperatingPoint:
@@ -364,22 +391,26 @@ def _points(equations: Equations, times: Array, about: About, run: Simulation | 
     return run.operating_point(times)
 
 
-def _regular(equations: Equations, point: OperatingPoint) -> Configuration:
-    """The arm at the operating points. A tool law without damping warns or raises here near a singularity."""
-    plant = equations.plant
-    q = np.ascontiguousarray(point.x[:, : equations.n])
-    arm = plant.at(q)
-    if equations.law.space == "tool" and not equations.law.damping:
-        with timed(point.times):
-            arm.check_regular()
-    warn_near_singular(equations, point.times, q)
-    return arm
+def _singular_values(equations: Equations, point: OperatingPoint) -> Array:
+    """(m, k) of the Jacobian of a tool law; of one without damping that is nearly singular somewhere, warns or raises with the time."""
+    if equations.law.space != "tool":
+        return np.ones((len(point.times), 1))
+    n, plant = equations.n, equations.plant
+    sigma = np.concatenate([plant.at(np.ascontiguousarray(some.x[:, :n])).sigma for some in chunks(point)])
+    if not equations.law.damping:
+        found = nearest_singular(equations.robot.tool, sigma)
+        found = found.at(float(point.times[found.index]))
+        if found.condition > REFUSE_CONDITION:
+            raise found
+        if found.condition > WARN_CONDITION:
+            warnings.warn(str(found), MfcWarning, stacklevel=4)
+    return sigma
 
 
-def _coordinates(equations: Equations, asked: Coordinates | None, arm: Configuration) -> Coordinates:
+def _coordinates(equations: Equations, asked: Coordinates | None, sigma: Array) -> Coordinates:
     tool, square = equations.law.space == "tool", equations.n == 6
     if asked is None:
-        return "error" if tool and square and np.all(arm.sigma[:, 0] < WARN_CONDITION * arm.sigma[:, -1]) else "state"
+        return "error" if tool and square and np.all(sigma[:, 0] < WARN_CONDITION * sigma[:, -1]) else "state"
     checks.choice("coordinates", asked, ("state", "error"))
     if asked == "error" and tool and not square:
         takes = f"a square Jacobian: {equations.robot.name} has {equations.n} joints, so the error does not determine the state"
