@@ -24,6 +24,7 @@ from mfc_analysis.analysis.frequency.crossings import crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, sensitivity_peak, thinned
 from mfc_analysis.analysis.frequency.resolvent import resolvent
 from mfc_analysis.analysis.margin_metrics import MarginMetrics, also_late, assembled, frequency, put
+from mfc_analysis.analysis.sampled_delay import sampled_delays
 from mfc_analysis.analysis.spectrum import rates, spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
@@ -160,7 +161,7 @@ def margins(system: OpenSystem, at: str) -> Margins:
     if system.delayed:
         metrics = delayed_metrics(system, at, judged)
     elif some.size:
-        put(metrics, some, _metrics(ch.at(some), system.radius, (modes[0][some], modes[1][some])))
+        put(metrics, some, _metrics(system.at(some), at, ch.at(some), (modes[0][some], modes[1][some])))
     if silent is not None:
         for values in vars(metrics).values():
             values[silent] = np.nan
@@ -170,9 +171,9 @@ def margins(system: OpenSystem, at: str) -> Margins:
 Modes = tuple[NDArray[Any], NDArray[Any]]  # eigenvalues (m, nx) and vectors (m, nx, nx)
 
 
-def _metrics(ch: Channels, radius: float, modes: Modes) -> MarginMetrics:
-    """Metrics of stable channels (a sampled loop: in the w plane) on the contour with an indentation of ``radius`` [1/s]."""
-    dt = ch.dt
+def _metrics(system: OpenSystem, at_point: str, ch: Channels, modes: Modes) -> MarginMetrics:
+    """Metrics of stable channels (a sampled loop: in the w plane) on the contour with its indentation."""
+    dt, radius = ch.dt, system.radius
     poles = (modes[0] - 1) / (modes[0] + 1) if dt else modes[0]
     found = resolvent(continuous(ch), (poles.astype(np.complex128), modes[1].astype(np.complex128)))
     w = frequencies_of_interest(found.poles, float(np.tan(radius * dt / 2)) if dt else radius)
@@ -188,6 +189,9 @@ def _metrics(ch: Channels, radius: float, modes: Modes) -> MarginMetrics:
     metrics = assembled(gain, phase, arc, found.ch.H0, lambda w: frequency(w, dt))
     if not dt:
         also_late(metrics, *arc_delays(theta, on_arc, at, lambda point, channel, s: found.at_place(point, channel, s)[0], metrics["delay"]))
+    if system.held is not None:
+        known = modes[0].astype(np.complex128), modes[1].astype(np.complex128)
+        metrics["delay"], metrics["delay_frequency"] = sampled_delays(system, at_point, 2 * np.arctan(w), known, found.modal)
     return MarginMetrics(**metrics, sensitivity_peak=np.maximum(peak, 1.0), peak_frequency=frequency(peak_at, dt))
 
 

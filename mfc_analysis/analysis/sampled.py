@@ -35,7 +35,7 @@ WHOLE = 1e-9  #: a dead time this close to a whole number of samples counts as w
 
 
 @dataclass(frozen=True, eq=False)
-class _Layout:
+class Layout:
     """Indices into Z = [states; registers; inputs]."""
 
     plant: Ints  #: plant states in Z
@@ -69,15 +69,15 @@ def sampled(system: OpenSystem, sample_time: float, *, on_wires: bool = False) -
     loop is already sampled, or where the samples in transit make the model too large.
     """
     h = checks.number("sample_time", sample_time, low=0.0, strict=True)
-    layout, late = _layout(system, h, on_wires)
+    layout, late = layout_of(system, h, on_wires)
     nx, nu, ny = system.nx, system.nu, system.ny
     Z = np.zeros((len(system.times), nx + layout.registers, layout.size))
-    Z[:, layout.plant] = _advanced(system, layout, h, h)
+    Z[:, layout.plant] = advanced(system, layout, h, h)
     Z[:, layout.control] = _controlled(system, layout, h)
     rows = np.zeros((len(system.times), ny + system.nw, layout.size))
     rows[:, :, :nx] = system.C
     rows[:, :, layout.external] = system.D[:, :, :nu]
-    _add_wires(rows, system.D[:, :, nu:], layout, at_end=False)
+    _add_wires(rows, system.D[:, :, nu:], layout)
     for wire in np.flatnonzero(layout.first >= 0):
         start, depth = int(layout.first[wire]), int(layout.whole[wire] + (layout.part[wire] > 0))
         Z[:, np.arange(start + 1, start + depth), np.arange(start, start + depth - 1)] = 1.0
@@ -102,10 +102,11 @@ def sampled(system: OpenSystem, sample_time: float, *, on_wires: bool = False) -
         plant_states=tuple(system.plant_states) + tuple(range(nx, n)),
         dt=h,
         registers=layout.registers,
+        held=system,
     )
 
 
-def _layout(system: OpenSystem, h: float, on_wires: bool) -> tuple[_Layout, Array]:
+def layout_of(system: OpenSystem, h: float, on_wires: bool = False) -> tuple[Layout, Array]:
     """The indices, and (nw,) the dead time [s] that stays on the wires."""
     if system.dt:
         raise Unsupported("sample_time", h, f"a continuous loop; this one is already sampled, every {system.dt:g} s")
@@ -140,10 +141,10 @@ def _layout(system: OpenSystem, h: float, on_wires: bool) -> tuple[_Layout, Arra
         raise Unsupported("sample_time", h, f"a model of at most {most} states at {m} times; the samples in transit make {n}. A longer one has fewer")
     first = np.where(depth > 0, nx + np.cumsum(depth) - depth, -1)
     external, wires = nx + registers + np.arange(nu), nx + registers + nu + np.arange(nw)
-    return _Layout(plant, control, external, wires, drive, whole, part, first, nx + registers + nu + nw, registers), late
+    return Layout(plant, control, external, wires, drive, whole, part, first, nx + registers + nu + nw, registers), late
 
 
-def _advanced(system: OpenSystem, layout: _Layout, h: float, time: float) -> Array:
+def advanced(system: OpenSystem, layout: Layout, h: float, time: float) -> Array:
     """The plant at ``time`` into the sample (0 < time <= h), (m, np, size of Z): each held torque switches after its dead time."""
     p, nu = layout.plant, system.nu
     A = system.A[:, p[:, None], p]
@@ -161,13 +162,13 @@ def _advanced(system: OpenSystem, layout: _Layout, h: float, time: float) -> Arr
     return out
 
 
-def _controlled(system: OpenSystem, layout: _Layout, h: float) -> Array:
+def _controlled(system: OpenSystem, layout: Layout, h: float) -> Array:
     """The controller's states one sample later, (m, nc, size of Z), with its measurements held."""
     c, p, nu = layout.control, layout.plant, system.nu
     held = np.zeros((len(system.A), c.size, layout.size))
     held[:, :, p] = system.A[:, c[:, None], p]
     held[:, :, layout.external] = system.B[:, c, :nu]
-    _add_wires(held, system.B[:, c, nu:], layout, at_end=False)
+    _add_wires(held, system.B[:, c, nu:], layout)
     A = system.A[:, c[:, None], c]
     if (A[:1] == A).all():  # the equations of most laws' states are the same at all points: one exponential for all
         A = A[:1]
@@ -177,27 +178,27 @@ def _controlled(system: OpenSystem, layout: _Layout, h: float) -> Array:
     return out
 
 
-def _seen(system: OpenSystem, layout: _Layout, wire: int, h: float) -> Array:
+def _seen(system: OpenSystem, layout: Layout, wire: int, h: float) -> Array:
     """Signal that a delayed sensor reports later: at (1 - part) h into the sample, (m, size of Z)."""
     time = (1 - layout.part[wire]) * h
     row = system.ny + wire
-    out = (system.C[:, row : row + 1, layout.plant] @ _advanced(system, layout, h, time))[:, 0]
+    out = (system.C[:, row : row + 1, layout.plant] @ advanced(system, layout, h, time))[:, 0]
     out[:, layout.external] += system.D[:, row, : system.nu]
     rows = out[:, None, :]
-    _add_wires(rows, system.D[:, row : row + 1, system.nu :], layout, at_end=time >= np.max(layout.part[layout.drive], initial=0.0) * h)
+    _add_wires(rows, system.D[:, row : row + 1, system.nu :], layout, 1 - float(layout.part[wire]))
     return rows[:, 0]
 
 
-def _add_wires(rows: Array, D: Array, layout: _Layout, *, at_end: bool) -> None:
-    """Direct terms of the wires: the delayed value acts, at the start of the sample or (``at_end``) after its switch."""
+def _add_wires(rows: Array, D: Array, layout: Layout, age: float = 0.0) -> None:
+    """Direct terms of the wires: the delayed value acts, at ``age`` samples into the sample."""
     for wire in range(D.shape[-1]):
         place = layout.wires[wire]
         if wire in layout.drive:
-            place = layout.past(wire, int(layout.whole[wire]) + int(layout.part[wire] > 0 and not at_end))
+            place = layout.past(wire, int(layout.whole[wire]) + int(age < layout.part[wire]))
         rows[:, :, place] += D[:, :, wire]
 
 
-def _names(system: OpenSystem, layout: _Layout) -> tuple[str, ...]:
+def _names(system: OpenSystem, layout: Layout) -> tuple[str, ...]:
     point = {int(w): name for name, where in system.wires.items() for w in np.arange(system.nw)[where]}
     found = []
     for wire in np.flatnonzero(layout.first >= 0):

@@ -47,6 +47,7 @@ class OpenSystem:
     dt: float = 0.0  #: [s] sample time, 0: continuous
     registers: int = 0  #: of a sampled loop: states that hold the samples in transit
     horizon: float = HORIZON  #: [s] of the verdict: roots with |s| < 1/horizon are slow; inf: none is
+    held: OpenSystem | None = None  #: of a sampled loop: the continuous one, whose plant moves between the samples
 
     @property
     def nx(self) -> int:
@@ -80,7 +81,8 @@ class OpenSystem:
 
     def at(self, index: slice | Ints | Bools) -> OpenSystem:
         """The same system at some of its points."""
-        return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index])
+        held = None if self.held is None else self.held.at(index)
+        return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index], held=held)
 
 
 def checked_horizon(horizon: float, sample_time: float = 0.0) -> float:

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.system import HORIZON
-from mfc_analysis.design.searches import Bracket, Limit, Outcome, first_loss, scan, shown
+from mfc_analysis.design.searches import CLOSE, Bracket, Limit, Outcome, first_loss, scan, shown
 from mfc_analysis.design.worst_case import WorstCase, worst_case
 from mfc_analysis.dynamics.environment import STIFFEST, stiffened
 from mfc_analysis.dynamics.hardware import LONGEST, SHORTEST, Hardware
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.linearization.linearization import linearize
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
@@ -61,7 +62,8 @@ def max_stiffness(loop: ClosedLoop, upper: float = 1e6, *, times: ArrayLike | No
 def max_delay(loop: ClosedLoop, upper: float = 10.0, *, times: ArrayLike | None = None, horizon: float = HORIZON, progress: bool = False) -> Limit:
     """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the given one) with which the loop is stable.
 
-    inf if stable up to ``upper`` [s], 1e-9 to 1e9; 0 if it is not stable without dead time. Raises BadArgument.
+    inf if stable up to ``upper`` [s], 1e-9 to 1e9; 0 if it is not stable without dead time. The smallest delay margin of the loop without
+    dead time is one of the values of the scan, so that the limit of a single joint is that of ``margins``. Raises BadArgument.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     upper = checks.number("upper", upper, low=SHORTEST, high=LONGEST)
@@ -70,7 +72,10 @@ def max_delay(loop: ClosedLoop, upper: float = 10.0, *, times: ArrayLike | None 
     def later(delay: float) -> ClosedLoop:
         return replace(loop, hardware=replace(hardware, delay=delay if delay >= SHORTEST else None))
 
-    return _limit(later, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), loop, times, horizon, "largest stable dead time", "s", progress)
+    alone = linearize(later(0.0).equations, _times(loop, times), horizon=horizon).margins().delay
+    first = alone[(alone > 0) & (alone < upper)]
+    values = np.union1d(scan(1e-6 * upper, upper), first.min(keepdims=True) * (1 + CLOSE) if first.size else first)
+    return _limit(later, np.concatenate([[0.0], values]), loop, times, horizon, "largest stable dead time", "s", progress)
 
 
 def max_payload(
