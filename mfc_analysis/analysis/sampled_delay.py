@@ -22,7 +22,7 @@ from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 NODES = 4  #: of f in [0, 1], at least,
 INNER = 2  #: and in each piece
 FOLDS = 10  #: halvings of f towards a place where a curve turns back
-LONGEST = 100_000  #: [samples] longest dead time at which a crossing is sought of a curve that does not reach all fractions
+LONGEST = 2000  #: [samples] longest additional dead time at which a crossing is sought of a curve that does not reach all fractions
 STEEPEST = 3.0  #: a maximum of log r further below zero than this is no place to search, of CLIMBS zooms
 CLIMBS = 5
 TURNS = 3  #: turns k tried at first
@@ -32,6 +32,8 @@ NEWTON = 12  #: steps
 MOST_TURN = 10.0  #: [samples] largest slope of D along a segment,
 TOUCH = 1e-3  #: and how near to a whole number counts as passing it
 SAME = 1e-9  #: [samples] a crossing this close to the present dead time is the loop itself
+DIRECT = 1e-12  #: gain from a channel to itself within the sample that counts,
+FINE, ARC, HALVINGS = 12, 60, 40  #: frequencies a sample of dead time, angles on the arc, along which such a loop is judged, and their halvings
 ENTRIES = 3_000_000  #: complex numbers of the polynomials of one chunk of points
 
 
@@ -90,6 +92,7 @@ def _first(loop: Shifted, theta: Array, poles: Complex, radius: float) -> tuple[
     _least(best, *_at_nyquist(loop))
     if radius > 0:
         _least(best, *_on_the_arc(loop, poles, radius))
+    _jumped(loop, theta, radius, best)
     return best
 
 
@@ -294,7 +297,7 @@ def _candidates(loop: Shifted, start: _Points, end: _Points, shape: tuple[int, .
     best = np.full(shape, np.inf)
     for point, channel, _, T in found:
         np.minimum.at(best, (point, channel), np.where(T > loop.present[channel] + SAME, T, np.inf))
-    until = np.minimum(best[start.point, start.channel] * (1 + SHARE) + 2, LONGEST)
+    until = np.minimum(best[start.point, start.channel] * (1 + SHARE) + 2, now + LONGEST)
     number = np.floor((until + 1) * np.maximum(start.theta, end.theta) / (2 * np.pi) - lowest - TURNS + 2).astype(np.int64)
     for segment in np.flatnonzero(number > 0):
         found.append(passed(np.full(number[segment], segment), lowest[segment] + TURNS + np.arange(number[segment])))
@@ -389,6 +392,41 @@ def _on_the_arc(loop: Shifted, poles: Complex, radius: float) -> _Cases:
     )  # fmt: skip
     inside = (u > -1e-9) & (u < np.pi / 2)
     return point[inside], channel[inside], radius * np.sin(u[inside]), T[inside]
+
+
+def _jumped(loop: Shifted, theta: Array, radius: float, best: tuple[Array, Array]) -> None:
+    """Where a channel acts on itself within the sample, a dead time just above a whole number costs one sample more and may be a loss.
+
+    No root is on the contour there (its angle: inf). The loop is lost where U - z^-(d + 1) Y(z; 0+) turns around zero on the contour.
+    """
+    direct = (np.abs(loop.old_direct) > DIRECT) | (np.abs(loop.delta) > DIRECT).any(axis=(2, 3))
+    for point, channel in zip(*np.nonzero(direct), strict=True):
+        now = float(loop.present[channel])
+        last = min(best[0][point, channel], now + LONGEST)
+
+        def log_ratio(p: Array, point: int = point, channel: int = channel) -> tuple[Complex, Complex]:
+            """ln z at p along the contour, -1 to 0 on the arc and then the angle beyond it, and log Y/U there."""
+            log_z = np.where(p < 0, radius * np.exp(1j * np.pi / 2 * np.minimum(p + 1, 1)), 1j * (radius + np.maximum(p, 0)))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                return log_z, loop.at(np.full(p.size, point), np.full(p.size, channel), np.exp(log_z), np.zeros(p.size))[0]
+
+        along = np.union1d(np.linspace(0, np.pi - radius, int(FINE * (last + 1))), np.maximum(theta[point] - radius, 0))
+        p = np.concatenate([np.linspace(-1, 0, ARC)[:-1] if radius > 0 else np.zeros(0), along])
+        log_z, log = log_ratio(p)
+        if not (log.real > 0).any():  # smaller than one all along: never lost
+            continue
+        for d in np.arange(np.ceil(now - SAME), last):
+            x, F = p, 1 - np.exp(log - (d + 1) * log_z)
+            for _ in range(HALVINGS):
+                wide = np.flatnonzero(np.abs(np.angle(F[1:] / F[:-1])) > 1)
+                if not wide.size:
+                    break
+                middle = (x[wide] + x[wide + 1]) / 2
+                where, more = log_ratio(middle)
+                x, F = np.insert(x, wide + 1, middle), np.insert(F, wide + 1, 1 - np.exp(more - (d + 1) * where))
+            if abs(np.angle(F[1:] / F[:-1]).sum()) > np.pi / 2:
+                best[0][point, channel], best[1][point, channel] = max(d, now), np.inf
+                break
 
 
 def _least(best: tuple[Array, Array], point: Ints, channel: Ints, angle: Array, T: Array) -> None:

@@ -161,7 +161,8 @@ def _late_torque(system: OpenSystem, held: OpenSystem, layout: Layout, wires: In
     D = held.D[:, held.ny :, held.nu :]
     drive = layout.drive
     onto = np.broadcast_to((drive[:, None] == wires) * 1.0, (len(D), drive.size, wires.size))
-    if not np.isin(wires, drive).all():
+    command = not np.isin(wires, drive).all()
+    if command:
         onto = D[:, drive[:, None], wires]
     old, signals = np.zeros((len(D), system.nx, drive.size)), np.zeros((len(D), system.nw, drive.size))
     for j, wire in enumerate(drive):
@@ -171,6 +172,8 @@ def _late_torque(system: OpenSystem, held: OpenSystem, layout: Layout, wires: In
             signals[:, :, j] += system.D[:, system.ny :, nu + wire] if samples == 0 else system.C[:, system.ny :, own[samples - 1]]
         old[:, own, j] = 0.0
     old, signals = old @ onto, signals @ onto
+    if command and not (layout.whole + layout.part)[drive].any():  # with what else it acts on
+        old, signals = system.B[:, :, nu + wires], system.D[:, system.ny :, nu + wires]
     late = [(int(w), (1 - float(layout.part[w]))) for w in np.flatnonzero(layout.part) if w not in drive]
     A = held.A[:, layout.plant[:, None], layout.plant]
     B = held.B[:, layout.plant[:, None], held.nu + drive] @ onto
@@ -189,7 +192,7 @@ def _late_torque(system: OpenSystem, held: OpenSystem, layout: Layout, wires: In
     into = through @ signals
     old = (old + system.B[:, :, nu:] @ into).swapaxes(1, 2)
     channel = np.arange(wires.size)
-    now = (layout.whole + layout.part)[wires if np.isin(wires, drive).all() else np.full(wires.size, drive[0])]
+    now = (layout.whole + layout.part)[np.full(wires.size, drive[0]) if command else wires]
     return old, into[:, wires, channel], gamma, np.zeros(gamma.shape[:-1]), edges, now
 
 

@@ -318,6 +318,7 @@ def main() -> int:
             before, wrong = found["unstable loops"], compared(loop, found)
             found["loops"] += 1
             found[f"{said[:4]} stable"] += found["unstable loops"] == before
+            wrong += wrong_delays(random_plant(seed), 1.0, 100.0, found)
         except mfc.MfcError as why:
             found["refused"] += 1
             sys.stdout.write(f"refused {seed}: {why}\n")
