@@ -4,7 +4,7 @@ With a dead time of d + f samples (0 < f <= 1) in channel i of the closed loop, 
 
     U(z) = z^-(d + 1) Y(z; f),        U = 1 + H_i,     Y = factor(z) (l(z) gamma(f) + delta(f)) + l(z) b + Delta.
 
-U is the inverse of the present sensitivity 1/S_i = 1 + L_i times S_i's own denominators, written by the closed loop A: H_i = S_i - 1.
+H_i = S_i - 1 = U - 1 is written by the closed loop: U is its present sensitivity S_i, and Y z^-(d + 1) what the injected signal gives late.
 
 - A driving wire (torque, velocity), or a command that acts through them: the new value acts for (1 - f) h, the old one before.
   l = c_i (zI - A)^-1, gamma(f) = int_0^((1 - f) h) exp(A_p s) ds B_p, factor = z - 1, and b, Delta are those of the old value alone.
@@ -17,6 +17,7 @@ Source: Astrom & Wittenmark, Computer-Controlled Systems, chapter 3 (sampling of
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,11 +54,11 @@ class Shifted:
         """l(z) and its slope (k, nx) of k cases."""
         if self.matrix is None:
             gap = 1 / (z[:, None] - self.poles[point])
-            out = self.row[point, channel] * gap
-            return out, -out * gap
+            modal = self.row[point, channel] * gap
+            return np.asarray(modal, np.complex128), np.asarray(-modal * gap, np.complex128)
         system = z[:, None, None] * np.eye(self.poles.shape[1]) - self.matrix[point]
-        out = np.linalg.solve(system, self.row[point, channel][..., None])
-        return out[..., 0], -np.linalg.solve(system, out)[..., 0]
+        out = np.linalg.solve(system, self.row[point, channel][..., None].astype(np.complex128))
+        return np.asarray(out[..., 0], np.complex128), np.asarray(-np.linalg.solve(system, out)[..., 0], np.complex128)
 
     def at(self, point: Ints, channel: Ints, z: Complex, f: Array) -> tuple[Complex, Complex, Complex]:
         """log(Y/U) and its derivatives by z and by f, each (k,), of k cases."""
@@ -77,6 +78,10 @@ class Shifted:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.log(Y / U), Yz / Y - Uz / U, Yf / Y
 
+    def sensitivity(self, point: Ints, channel: Ints, z: Complex) -> Complex:
+        """U (k,) of k cases."""
+        return np.asarray(1 + self.at_infinity[point, channel] + (self.left(point, channel, z)[0] * self.base[point, channel]).sum(axis=1))
+
     def nodes(self, f: Array) -> tuple[Complex, Array]:
         """gamma (m, n, J, nx) and delta (m, n, J) at the fractions f (J,)."""
         piece, _, x = self._local(f)
@@ -87,7 +92,7 @@ class Shifted:
         """gamma (1, nx) and delta (1,) of one channel at one fraction."""
         piece, _, x = self._local(np.array([f]))
         powers = x ** np.arange(TERMS)
-        return (powers @ self.gamma[point, channel, piece[0]])[None], np.array([powers @ self.delta[point, channel, piece[0]]])
+        return np.asarray(powers @ self.gamma[point, channel, piece], np.complex128), np.asarray(self.delta[point, channel, piece] @ powers, float)
 
     def ratio(self, left: Complex, z: Complex, gamma: Complex, delta: Array, point: Ints, channel: Ints) -> Complex:
         """Y/U of k cases, with l (k, nx) and gamma (k, nx), delta (k,) known."""
@@ -129,27 +134,27 @@ def shifted(system: OpenSystem, at: str, modes: tuple[Complex, Complex] | None) 
     layout, _ = layout_of(held, system.dt)
     ch = channels(system, at)
     wires = np.arange(system.nw)[system.wires[at]]
-    through = np.linalg.inv(np.eye(system.nw) - system.D[:, system.ny :, system.nu :])
+    through = np.asarray(np.linalg.inv(np.eye(system.nw) - system.D[:, system.ny :, system.nu :]), float)
     parts = _late_force if at == "force" else _late_torque
     found = parts(system, held, layout, wires, through)
     row, base = (ch.B.swapaxes(1, 2), ch.C) if at == "force" else (ch.C, ch.B.swapaxes(1, 2))
-    matrix = ch.A if at == "force" else ch.A.swapaxes(1, 2)
-    poles = np.zeros(ch.A.shape[:2], np.complex128)
-    if modes is None:
-        return Shifted(matrix, poles, row, base, ch.H0, *found[:5], holds=at != "force", present=found[5])
-    poles, V = modes
-    inverse = np.linalg.inv(V)
-    to_row, to_vector = (inverse, V.swapaxes(1, 2)) if at == "force" else (V.swapaxes(1, 2), inverse)
     old, old_direct, gamma, delta, edges, present = found
+    vectors = row, base, old, gamma
+    if modes is None:
+        matrix = ch.A if at == "force" else ch.A.swapaxes(1, 2)
+        poles = np.zeros(ch.A.shape[:2], np.complex128)
+        r, b, o, g = (x.astype(np.complex128) for x in vectors)
+        return Shifted(matrix, poles, r, b, ch.H0, o, old_direct, g, delta, edges, at != "force", present)
+    poles, V = modes
+    turn, inverse = np.asarray(V.swapaxes(1, 2), np.complex128), np.asarray(np.linalg.inv(V), np.complex128)
+    to_row, to_vector = (inverse, turn) if at == "force" else (turn, inverse)
 
     def turned(M: Complex, vectors: Array) -> Complex:
         flat = vectors.reshape(len(M), -1, M.shape[1])
-        return np.asarray(flat @ M.swapaxes(1, 2)).reshape(vectors.shape)
+        return np.asarray(flat @ M.swapaxes(1, 2), np.complex128).reshape(vectors.shape)
 
-    return Shifted(
-        None, poles, turned(to_row, row), turned(to_vector, base), ch.H0, turned(to_vector, old), old_direct, turned(to_vector, gamma), delta,
-        edges, holds=at != "force", present=present,
-    )  # fmt: skip
+    r, b, o, g = (turned(M, x) for M, x in zip((to_row, to_vector, to_vector, to_vector), vectors, strict=True))
+    return Shifted(None, poles, r, b, ch.H0, o, old_direct, g, delta, edges, at != "force", present)
 
 
 _Found = tuple[Array, Array, Array, Array, Array, Array]  # old, old_direct, gamma, delta, edges, present
@@ -230,7 +235,7 @@ def _late_force(system: OpenSystem, held: OpenSystem, layout: Layout, wires: Int
             left = left * (-size * h / t)
             gamma[:, :, k, t], delta[:, :, k, t] = closed(left @ rate)
             left = left @ A
-    return np.zeros(row.shape[:2] + (nx,)), np.zeros(row.shape[:2]), gamma, delta, edges, (layout.whole + layout.part)[wires]
+    return np.zeros((*row.shape[:2], nx)), np.zeros(row.shape[:2]), gamma, delta, edges, (layout.whole + layout.part)[wires]
 
 
 def _places(system: OpenSystem, layout: Layout) -> tuple[Ints, Ints]:
@@ -266,7 +271,7 @@ def _pieces(A: Array, h: float, breaks: list[float]) -> tuple[Array, Array, Arra
     fast = np.abs(power).sum(axis=1).max(initial=0.0) ** 0.125 > 1
     modes = np.unique(np.linalg.eigvals(A * h).ravel()) if fast else np.zeros(0)
     edges = [0.0]
-    for low, high in zip(ends[:-1], ends[1:], strict=True):
+    for low, high in itertools.pairwise(ends):
         todo = [(float(low), float(high), 0)]
         while todo:
             a, b, depth = todo.pop()

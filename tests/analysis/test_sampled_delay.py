@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import pytest
 import mfc_analysis as mfc
 from mfc_analysis.analysis.margins import margins
 from mfc_analysis.analysis.sampled import sampled
-from mfc_analysis.analysis.system import OpenSystem, close_wires
 from tests.analysis.test_sampled import loop
 from tests.soak.sampled_delay import compared, drawn, random_plant, wrong_delays
 
@@ -61,34 +59,6 @@ def test_every_channel_of_random_arms_loses_stability_where_the_margin_says(seed
     """The soak test of the same name in short: all laws, a scan in few steps."""
     said, made = drawn(seed)
     assert compared(made, Counter(), 12, channels=2) == [], said
-
-
-@pytest.mark.parametrize("at", ["torque", "force"])
-@pytest.mark.parametrize("direct", [0.2, 0.6, 0.9])
-@pytest.mark.parametrize("gain", [0.3, 1.0])
-@pytest.mark.parametrize("now", [0.0, 0.03, 0.1])
-def test_a_velocity_felt_by_the_sensor_at_once_is_felt_a_sample_later(at: str, direct: float, gain: float, now: float) -> None:
-    """q' = w, force = q + c w (a damped wall): beyond a whole number of samples the rate is that of one sample before."""
-    h = 0.1
-    wire = ("torque", "force").index(at)
-
-    def made(late: float) -> OpenSystem:
-        delays = [0.0, 0.0]
-        delays[wire] = late
-        plant = loop([[0.0]], [1.0], [1.0], gain, delays=tuple(delays))
-        D = plant.D.copy()
-        D[0, 0, 1] = D[0, 2, 1] = direct
-        return sampled(replace(plant, D=D), h)
-
-    def decays(late: float) -> bool:
-        return bool(np.abs(np.linalg.eigvals(close_wires(made(late))[0][0])).max() < 1)
-
-    found = margins(made(now), at)
-    assert found.stable[0] and decays(now)
-    T = float(found.delay[0, 0])
-    later = np.unique(np.concatenate([np.linspace(0, T, 200)[1:] if T else [], [k * h - now + s for k in range(30) for s in (-1e-7, 1e-7) if k * h + s > now]]))
-    assert all(decays(now + x) for x in later if x < T * (1 - 1e-6))
-    assert not decays(now + T * (1 + 1e-6) + 1e-8 * h)
 
 
 def test_an_unstable_loop_has_no_delay_margin() -> None:

@@ -10,6 +10,7 @@ ends. The eigenvalues of that step are the roots; a scan in small steps up to th
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
 import warnings
@@ -82,14 +83,14 @@ class Resampled:
             depth = whole + (part > 0)
             seen.append(np.arange(size, size + depth))
             size += depth
-        I = np.eye(size)
-        x, xc = I[: p.size], I[p.size : p.size + c.size]
+        one = np.eye(size)
+        x, xc = one[: p.size], one[p.size : p.size + c.size]
         # direct terms of the drives into the force at the start of the sample
         Dfd = self.D[np.ix_(self.force, self.drive)] if self.force.size else np.zeros((0, self.drive.size))
         assert not Dfd.any() and not self.D[np.ix_(self.drive, self.drive)].any()
         w_out = np.zeros((self.nw, size))
         F = self.C[np.ix_(self.force, p)] @ x
-        arrived = np.array([F[k] if not seen[k].size else I[seen[k][-1]] for k in range(self.force.size)]).reshape(-1, size)
+        arrived = np.array([F[k] if not seen[k].size else one[seen[k][-1]] for k in range(self.force.size)]).reshape(-1, size)
         w_out[self.force] = arrived
         others = np.setdiff1d(np.arange(self.nw), np.concatenate([self.force, self.drive]))
         known = self.C[np.ix_(others, np.r_[p, c])] @ np.concatenate([x, xc]) + self.D[np.ix_(others, self.force)] @ arrived
@@ -99,7 +100,8 @@ class Resampled:
             through[wire] = 0.0
         torque = self.C[np.ix_(self.drive, np.r_[p, c])] @ np.concatenate([x, xc]) + self.D[self.drive] @ through
         values = [*torque, *([w_out[wire]] if wire in self.command else [])]
-        held = self.A[np.ix_(c, p)] @ x + self.B[np.ix_(c, np.setdiff1d(np.arange(self.nw), self.drive))] @ w_out[np.setdiff1d(np.arange(self.nw), self.drive)]
+        rest = np.setdiff1d(np.arange(self.nw), self.drive)
+        held = self.A[np.ix_(c, p)] @ x + self.B[np.ix_(c, rest)] @ w_out[rest]
         assert not self.B[np.ix_(c, self.drive)].any() and not (wire in self.command and self.B[c, wire].any())
         new = np.zeros((size, size))
         new[p.size : p.size + c.size] = self.Ac[: c.size, : c.size] @ xc + self.Ac[: c.size, c.size :] @ held
@@ -107,25 +109,26 @@ class Resampled:
         def active(k: int, at: float) -> np.ndarray:
             whole, part = split[k]
             age = whole + int(at < part * (1 - 1e-12))
-            return values[k] if age == 0 else I[past[k][age - 1]]
+            return values[k] if age == 0 else one[past[k][age - 1]]
 
         records = {round(1 - part, 15): None for _, _, part in slow if part}
         events = sorted({0.0, 1.0, *(part for _, part in split if part), *records})
+        columns = np.array([s[0] for s in sources]).T
         X = x
-        for a, b in zip(events[:-1], events[1:], strict=True):
+        for a, b in itertools.pairwise(events):
             u = np.array([active(k, a) for k in range(len(sources))])
-            E = expm(np.block([[self.A[np.ix_(p, p)], np.array([s[0] for s in sources]).T], [np.zeros((len(sources), p.size + len(sources)))]]) * (b - a) * h)
+            E = expm(np.block([[self.A[np.ix_(p, p)], columns], [np.zeros((len(sources), p.size + len(sources)))]]) * (b - a) * h)
             X = E[: p.size, : p.size] @ X + E[: p.size, p.size :] @ u
             if b in records:
                 records[b] = X
         new[: p.size] = X
-        for k, (whole, part) in enumerate(split):
+        for k in range(len(split)):
             for i, place in enumerate(past[k]):
-                new[place] = values[k] if i == 0 else I[past[k][i - 1]]
-        for k, (w, whole, part) in enumerate(slow):
+                new[place] = values[k] if i == 0 else one[past[k][i - 1]]
+        for k, (w, _, part) in enumerate(slow):
             row = self.C[w, p]
             for i, place in enumerate(seen[k]):
-                new[place] = (row @ records[round(1 - part, 15)] if part else F[k]) if i == 0 else I[seen[k][i - 1]]
+                new[place] = (row @ records[round(1 - part, 15)] if part else F[k]) if i == 0 else one[seen[k][i - 1]]
         keep = np.setdiff1d(np.arange(size), p.size + np.searchsorted(c, self.idle))
         return new[np.ix_(keep, keep)]
 
@@ -171,7 +174,7 @@ def one_drawn(seed: int, attempt: int) -> tuple[str, mfc.ClosedLoop]:
 
     w = g(0.3, 1.7)
     kp, kd, ki = w**2 * rng.uniform(0.5, 2), w * rng.uniform(0.7, 3), w**3 * rng.uniform(0, 0.4)
-    force = dict(F_d=10 * Z)
+    force = {"F_d": 10 * Z}
     kf, kfi = g(-2, 0.3), g(-1, 1.3)
     laws: dict[str, Callable[[], object]] = {
         "9.8": lambda: L.JointPID(kp, ki, kd), "9.10": lambda: L.ComputedTorque(kp, ki, kd),
@@ -210,9 +213,8 @@ def one_drawn(seed: int, attempt: int) -> tuple[str, mfc.ClosedLoop]:
     task = name in ("9.5", "9.16")
     reference = mfc.trajectories.ToolHold(robot.pose(q)) if task else mfc.trajectories.Hold(q)
     start = {"q_start": q} if task else {}
-    loop = mfc.ClosedLoop(
-        robot, laws[name](), reference, environment=wall, hardware=mfc.Hardware(**hardware), controller_model=model, **start  # type: ignore[arg-type]
-    )
+    given = {"environment": wall, "hardware": mfc.Hardware(**hardware), "controller_model": model, **start}  # type: ignore[arg-type]
+    loop = mfc.ClosedLoop(robot, laws[name](), reference, **given)  # type: ignore[arg-type]
     shown = {k: round(x, 6) if isinstance(x, float) else x for k, x in hardware.items()}
     return f"{name} on {robot.name}, {shown}", loop
 
@@ -301,7 +303,7 @@ def compared(loop: mfc.ClosedLoop, found: Counter[str], steps: int = STEPS, chan
             slow = of.delay_frequency[0, channel] < 1 / lin.horizon  # leaves the disc of slow roots: a cluster, known to fewer digits
             found["of these slow"] += slow
             if not abs(lost - T) <= (SLOW if slow else CLOSE) * T:
-                wrong.append(f"{at} {of.channels[channel]}: margin {T:.10g} s ({samples:.6g} samples), lost at {lost:.10g} s ({lost / h:.6g} samples)")
+                wrong.append(f"{at} {of.channels[channel]}: margin {T:.10g} s, {samples:.6g} samples; lost at {lost:.10g} s")
     return wrong
 
 
