@@ -125,8 +125,8 @@ def jumped(loop: Shifted, theta: Array, radius: float, best: tuple[Array, Array]
     No root is on the contour there (its angle: inf). The loop is lost where U - z^-(d + 1) Y(z; 0+) turns around zero on the contour.
     """
     m, n = loop.at_infinity.shape
-    every, place = np.indices((m, n)).reshape(2, -1), np.full(m * n, np.exp(1j))
-    before, after = (np.exp(loop.at(*every, place, np.full(m * n, f))[0]) for f in (1.0, 0.0))
+    (points, channels), place = np.indices((m, n)).reshape(2, -1), np.full(m * n, np.exp(1j))
+    before, after = (np.exp(loop.at(points, channels, place, np.full(m * n, f))[0]) for f in (1.0, 0.0))
     direct = (np.abs(before * place - after) > DIRECT * np.abs(after)).reshape(m, n)
     for point, channel in zip(*np.nonzero(direct), strict=True):
         now = float(loop.present[channel])

@@ -2,7 +2,7 @@
 
 Definitions. The closed loop stays stable while loop i is multiplied by a gain in (reduction, increase), the largest such
 interval around 1; while its phase changes by less than ``phase_deg``, lead or lag, at any of its crossovers; while it is delayed
-by less than ``delay``. The sensitivity peak is the supremum of |1/(1 + L_i)| over all frequencies, zero and infinity included.
+by less than ``delay``: of a sampled loop the fraction of a sample acts inside the hold (``sampled_delay``). The sensitivity peak is the supremum of |1/(1 + L_i)| over all frequencies, zero and infinity included.
 
 There is no frequency grid: every crossing comes from an eigenvalue problem (``crossings``) and is polished. The contour is Nyquist's,
 indented at the origin by 1/horizon: no frequency below counts, and a gain interval also ends where a slow root leaves the disc
@@ -76,8 +76,8 @@ class Margins:
     increase_frequency: Array  #: (m, n) [rad/s] of the root that crosses at the increase; inf where there is none
     phase_deg: Array  #: (m, n) smallest over all crossovers, lead or lag
     crossover: Array  #: (m, n) [rad/s] the gain crossover with the phase margin; inf where |L| is never one
-    delay: Array  #: (m, n) [s] smallest over all crossovers
-    delay_frequency: Array  #: (m, n) [rad/s] the gain crossover with the delay margin
+    delay: Array  #: (m, n) [s] smallest over all crossovers; of a sampled loop that of the loop resampled with it
+    delay_frequency: Array  #: (m, n) [rad/s] of the roots that reach the contour with the delay margin
     sensitivity_peak: Array  #: (m, n) supremum of |1/(1 + L)|, at least 1
     peak_frequency: Array  #: (m, n) [rad/s] of the sensitivity peak, from 1/horizon to inf
 

@@ -147,7 +147,10 @@ def _islands(loop: Shifted, f: Array, theta: Array, size: Array) -> tuple[Ints, 
 
 
 def _segments(loop: Shifted, f: Array, gamma: Complex, delta: Array, theta: Array, size: Array) -> tuple[_Points, _Points, int]:
-    """The ends of the segments of all curves, and how many, the first, are not near a fold; ``size``: log r (m, n, J, k) at the nodes f (J,) and angles theta (m, k)."""
+    """The ends of the segments of all curves, and how many, the first, are not near a fold.
+
+    ``size``: log r (m, n, J, k) at the nodes f (J,) and angles theta (m, k).
+    """
     m, n, J, _ = size.shape
     above = size > 0
     point, channel, node, k = np.nonzero(above[..., 1:] != above[..., :-1])
@@ -163,7 +166,7 @@ def _segments(loop: Shifted, f: Array, gamma: Complex, delta: Array, theta: Arra
     start, end = np.repeat(first[row, node], times) + each, np.repeat(first[row, node + 1], times) + each
     parts = [(found[start], found[end])]
     for row, node in zip(*np.nonzero(number[:, :-1] != number[:, 1:]), strict=True):
-        a, b = (found[first[row, j] + np.arange(number[row, j])] for j in (node, node + 1))
+        a, b = (found[first[row, j] + np.arange(int(number[row, j]))] for j in (node, node + 1))
         parts += _folded(loop, int(row // n), int(row % n), theta[row // n], (float(f[node]), a), (float(f[node + 1]), b), FOLDS)
     return _joined([a for a, _ in parts]), _joined([b for _, b in parts]), parts[0][0].f.size
 
@@ -176,7 +179,7 @@ def _bent(loop: Shifted, start: _Points, end: _Points) -> Bools:
         third = np.abs(df * (slopes[0] + slopes[1]) - 2 * dtheta) * np.maximum(
             loop.present[start.channel] + 1, start.phase % (2 * np.pi) / start.theta
         )
-        return ~(third < BENT * np.minimum(start.theta, end.theta))
+        return np.asarray(~(third < BENT * np.minimum(start.theta, end.theta)))
 
 
 def _joined(parts: list[_Points]) -> _Points:
@@ -318,7 +321,8 @@ def _candidates(loop: Shifted, start: _Points, end: _Points, shape: tuple[int, .
     until = np.minimum(best[start.point, start.channel] * (1 + SHARE) + 2, now + LONGEST)
     number = np.floor((until + 1) * np.maximum(start.theta, end.theta) / (2 * np.pi) - lowest - TURNS + 2).astype(np.int64)
     for segment in np.flatnonzero(number > 0):
-        found.append(passed(np.full(number[segment], segment), lowest[segment] + TURNS + np.arange(number[segment])))
+        k = np.arange(int(number[segment]))
+        found.append(passed(np.full(k.size, segment), lowest[segment] + TURNS + k))
     point, channel, angle, T = (np.concatenate(one) for one in zip(*found, strict=True))
     ahead = loop.present[channel] - 0.1 < T
     return point[ahead], channel[ahead], angle[ahead], T[ahead]

@@ -12,7 +12,7 @@ from mfc_analysis.analysis.margins import margins
 from mfc_analysis.analysis.sampled import sampled
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from tests.analysis.test_sampled import loop
-from tests.soak.sampled_delay import random_plant, wrong_delays
+from tests.soak.sampled_delay import compared, drawn, random_plant, wrong_delays
 
 
 @pytest.mark.parametrize("seed", [93, 147, 152])
@@ -23,19 +23,11 @@ def test_a_root_that_leaves_through_minus_one_is_found(seed: int) -> None:
 
 
 def test_a_slow_root_that_leaves_its_disc_is_a_loss() -> None:
-    """s = 0.008 - 0.0115 e^(-s T), beside a fast root: the pair crosses the axis inside the disc; eigenvalues on both sides of the margin."""
-    system = loop([[0.008]], [1.0], [1.0], 0.0115, Ac=[[-3.0]], Bc=[1.0], Cc=[0.0])
-    h = 0.5
-
-    def growth(late: float) -> float:
-        A = close_wires(sampled(replace(system, wire_delay=np.array([late, 0.0])), h))[0][0]
-        s = np.log(np.linalg.eigvals(A).astype(complex) + 1e-300) / h
-        return float(s.real[np.abs(s) >= 1 / system.horizon].max())
-
-    found = margins(sampled(system, h), "torque")
-    T = float(found.delay[0, 0])
-    assert found.stable[0] and 0 < found.delay_frequency[0, 0] < 1 / system.horizon
-    assert growth(T * (1 - 1e-4)) < 0 < growth(T * (1 + 1e-4))
+    """A force loop whose pair at 0.01 rad/s leaves abs(s) < 1/horizon to the right as the dead time of a torque grows."""
+    said, made = drawn(7)
+    found: Counter[str] = Counter()
+    assert compared(made, found, 6, channels=1) == [], said
+    assert found["of these slow"] > 0
 
 
 @pytest.mark.parametrize("at", ["torque", "force"])
