@@ -2,7 +2,8 @@
 
 Definitions. The closed loop stays stable while loop i is multiplied by a gain in (reduction, increase), the largest such
 interval around 1; while its phase changes by less than ``phase_deg``, lead or lag, at any of its crossovers; while it is delayed
-by less than ``delay``: of a sampled loop the fraction of a sample acts inside the hold (``sampled_delay``). The sensitivity peak is the supremum of |1/(1 + L_i)| over all frequencies, zero and infinity included.
+by less than ``delay``; of a sampled loop the fraction of a sample acts inside the hold (``sampled_delay``). The sensitivity peak
+is the supremum of |1/(1 + L_i)| over all frequencies, zero and infinity included.
 
 There is no frequency grid: every crossing comes from an eigenvalue problem (``crossings``) and is polished. The contour is Nyquist's,
 indented at the origin by 1/horizon: no frequency below counts, and a gain interval also ends where a slow root leaves the disc

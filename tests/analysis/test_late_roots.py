@@ -22,6 +22,7 @@ def test_a_root_that_leaves_through_minus_one_is_found(seed: int) -> None:
     assert found["through z = -1"] > 0
 
 
+@pytest.mark.filterwarnings("ignore::mfc_analysis.errors.MfcWarning")
 def test_a_slow_root_that_leaves_its_disc_is_a_loss() -> None:
     """A force loop whose pair at 0.01 rad/s leaves abs(s) < 1/horizon to the right as the dead time of a torque grows."""
     said, made = drawn(7)
