@@ -24,6 +24,7 @@ ROOMS = ("analysis", "gains", "linearization", "simulation", "requirements", "de
 #: what lives only while something is computed
 WITHIN = {
     "Bracket",
+    "Layout",
     "Response",
     "Mode",
     "Piece",
@@ -45,6 +46,7 @@ WITHIN = {
     "Peak",
     "Replay",
     "Resolvent",
+    "Shifted",
     "Rest",
     "Run",
     "SecondOrder",
