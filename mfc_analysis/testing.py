@@ -193,6 +193,8 @@ def _sentence(line: Line) -> str:
     found = "is not defined" if isnan(line.found) else f"is {line.found:.6g}{unit}"
     place = f" ({line.place})" if line.place else ""
     note = f": {line.note}" if line.note else ""
+    if line.name == "stable" and line.note.startswith("unstable"):
+        return f"the loop is not stable{note.removeprefix(': unstable')}"
     asked = {"≥": "at least", "≤": "at most", "<": "below"}[line.sense]
     head = line.label
     if line.name == "stable":

@@ -174,3 +174,11 @@ def test_a_linear_loop_is_validated_whatever_rounding_its_runs_leave(q):
     loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.VelocityP(5.0), hold(q=q))
     assert loop.validate(0.5).taylor_order == math.inf
     assert_validated(loop, 0.5)
+
+
+def test_a_failure_names_the_joint_the_time_and_the_unstable_root(unstable):
+    """I s^3 + (b + kd) s^2 + (kp - m g r sin th) s + ki of law 9.8 on the joint of eq. 9.6."""
+    s = max(np.roots([0.5, 2.1, 5.0 - 0.981 * math.sin(0.3), 100.0]), key=lambda x: x.real)
+    said = f"joint 1 (joint) at t = 0 s: root +{s.real:.3g} ± {abs(s.imag):.3g} j 1/s"
+    assert message(assert_stable, unstable).startswith(f"the loop is not stable: {said}\n")
+    assert f"unstable: {said}" in message(assert_margins, unstable, phase_deg=30.0)

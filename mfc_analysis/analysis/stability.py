@@ -61,12 +61,20 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
     return Stability(good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), idle, roots, motion, horizon)
 
 
+def roots(system: OpenSystem, count: int | None = None, known: Spectrum | None = None) -> tuple[Complex, Bools]:
+    """Roots [1/s] at each point and which of them are slow, (m, k) each: every pole (a sampled loop: ln(z) / dt), slowest first; with dead time
+    the rightmost exact roots, rightmost first: ``count`` of them (default: the number of states) and as many more as there are slow ones.
+
+    ``known``: the spectrum of the system, if already computed. Raises ``NotConverged`` as ``stability``.
+    """
+    if not system.delayed:
+        known = spectrum(system) if known is None else known
+        return known.rates, known.slow
+    found = delay_roots(system, (count or system.nx) + int(stability(system).slow.max(initial=0)))
+    return found, np.abs(found) < system.radius
+
+
 def growth(system: OpenSystem) -> Array:
     """(m,) [1/s] largest real part of the closed loop's roots that are not slow, dead time included; NaN where every root is slow."""
-    system = without_idle(system)
-    found = spectrum(system)
-    if system.delayed:
-        count = int(stability(system, found).slow.max(initial=0)) + 2
-        roots = delay_roots(system, count)
-        return np.asarray(np.where(np.abs(roots) < system.radius, -np.inf, roots.real).max(axis=1))
-    return np.asarray(np.where(found.slow.all(axis=1), np.nan, np.where(found.slow, -np.inf, found.rates.real).max(axis=1)))
+    found, slow = roots(without_idle(system), 2)
+    return np.asarray(np.where(slow.all(axis=1), np.nan, np.where(slow, -np.inf, found.real).max(axis=1)))

@@ -279,9 +279,7 @@ def _root(loop: ClosedLoop, t: Array, horizon: float) -> str:
     evidence = Evidence(loop.equations, t, horizon=horizon)
     if evidence.nothing_else:
         return "every root is slow"
-    found = evidence.slowest_root()
-    kind = "a real root" if found.note == "real" else f"a pair of roots at {found.note}"
-    return f"{kind} is unstable ({found.where}, t = {found.when:.4g} s)"
+    return evidence.unstable or str(evidence.rightmost)
 
 
 def _times(loop: ClosedLoop, times: ArrayLike | None) -> Array:

@@ -40,6 +40,7 @@ class WorstCase:
     when: float | None  #: [s]
     stable: bool
     rightmost: float  #: [1/s] real part of the rightmost root in this case
+    unstable: str  #: that root in words, with joint or tool axis and time; "" where the loop is stable
     evaluations: int
     failed: tuple[tuple[Case, str], ...] = field(default=())  #: cases that could not be built or analysed, with the reason
     replay: str = ""  #: code that rebuilds the loop
@@ -52,9 +53,9 @@ class WorstCase:
         case = ", ".join(f"{name} = {x:.6g}" for name, x in self.case.items())
         place = ", ".join(p for p in (self.where, "" if self.when is None else f"t = {self.when:.4g} s") if p)
         label, unit = (KINDS[self.metric].said(self.step), f" {KINDS[self.metric].unit}".rstrip()) if self.metric in KINDS else (self.metric, "")
-        head = f"{label} {self.value:.6g}{unit}" if self.stable else f"not stable: rightmost root {self.rightmost:.4g} 1/s"
+        head = f"{label} {self.value:.6g}{unit}" if self.stable else "not stable"
         lost = f"; {len(self.failed)} cases could not be analysed" if self.failed else ""
-        return f"worst case of {self.evaluations}: {head} at {case} ({place}){lost}"
+        return f"worst case of {self.evaluations}: {head} at {case} ({self.unstable or place}){lost}"
 
     __repr__ = __str__
 
@@ -68,6 +69,7 @@ class _Score:
     where: str
     when: float | None
     rightmost: float
+    unstable: str = ""
 
 
 def worst_case(
@@ -118,7 +120,7 @@ def worst_case(
     name = metric if isinstance(metric, str) else getattr(metric, "__name__", "metric")
     call = f"print({asked.code}.check(loop, times, at={at!r}))" if name in KINDS else ""
     return WorstCase(
-        name, best.value, case, loop, best.where, best.when, best.key[0] > 0, best.rightmost, search.count, tuple(search.failed),
+        name, best.value, case, loop, best.where, best.when, best.key[0] > 0, best.rightmost, best.unstable, search.count, tuple(search.failed),
         str(replay(loop, t, call)), asked.step,
     )  # fmt: skip
 
@@ -150,7 +152,7 @@ class _Search:
         evidence = Evidence(loop.equations, self.times, self.at, self.asked.horizon, self.asked.step)
         root = evidence.slowest_root()
         if not evidence.judged.all():
-            return _Score((0, -root.value), float("nan"), root.where, root.when, root.value)
+            return _Score((0, -root.value), float("nan"), root.where, root.when, root.value, evidence.unstable)
         if isinstance(self.metric, str):
             found = evidence.found(self.metric)
             value, where, when = found.value, found.where, found.when

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mfc_analysis.analysis.margins import Margins, margins
+from mfc_analysis.analysis.participation import rightmost
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
@@ -75,10 +76,11 @@ class CoupledLoop:
     def __str__(self) -> str:
         found = self.margins
         if not self.stable:
-            lost = np.flatnonzero(~found.stable)
+            lost, root = np.flatnonzero(~found.stable), rightmost(self.system)
+            where = int(np.argmin(np.abs(self.system.times - root.time)))
             first = f", first at {self.places[lost[0]]}" if self.places[lost[0]] else ""
             count = f" at {lost.size} of {found.stable.size} places{first}" if found.stable.size > 1 else ""
-            return f"UNSTABLE with the loops of all joints closed{count} ({self.hardware})"
+            return f"UNSTABLE with the loops of all joints closed{count} ({self.hardware})\n          {root.said(self.places[where])}"
 
         def said(values: Array, unit: str, worst: Callable[[Array], Any] = np.argmin) -> str:
             i, *joint = np.unravel_index(int(worst(values)), values.shape)

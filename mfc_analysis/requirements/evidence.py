@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mfc_analysis.analysis.loop_step import SettlingStep
+from mfc_analysis.analysis.participation import Root, located, rightmost
 from mfc_analysis.analysis.slow import parts
-from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
-from mfc_analysis.analysis.system import HORIZON, close_wires
+from mfc_analysis.analysis.spectrum import UNDAMPED, Spectrum, spectrum
+from mfc_analysis.analysis.stability import roots
+from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.dynamics.operating_point import nominal
@@ -146,21 +148,29 @@ class Evidence:
 
     def slowest_root(self) -> Found:
         """Rightmost real part [1/s] of the roots that are not slow, dead time included; -inf where there is none."""
-        roots, slow = self.roots
-        real = np.where(slow, -np.inf, roots.real)
-        i, k = np.unravel_index(int(np.argmax(real)), real.shape)
-        root = complex(roots[i, k])
-        note = f"{abs(root.imag):.4g} rad/s" if abs(root.imag) > 1e-9 * abs(root) else "real"
-        return Found(float(real[i, k]), self._joint_of(int(i), root), float(self.times[i]), note)
+        root = self.rightmost
+        return Found(root.value.real, root.where, root.time)
+
+    @cached_property
+    def rightmost(self) -> Root:
+        """The rightmost root that is not slow, dead time included, with its time and the joints or tool axes that take part in it."""
+        return rightmost(self.linearization.opened, self.roots)
+
+    @property
+    def unstable(self) -> str:
+        """The root that makes the loop unstable, in words: joint or tool axis, time and value; "" where the roots that are not slow decay."""
+        root = self.rightmost
+        if self.judged.all() or self.nothing_else:
+            return ""
+        if root.value.real < -UNDAMPED * abs(root.value):  # an infinite chain of roots, or one that is only counted
+            return f"t = {self.times[np.argmin(self.judged)]:.4g} s: a root in the right half plane, not located"
+        return str(root)
 
     @cached_property
     def roots(self) -> tuple[Complex, Bools]:
         """Roots [1/s] and which of them are slow, (m, k) each: the poles (a sampled loop: ln(z)/dt), or with dead time the rightmost exact ones."""
-        lin, known = self.linearization, self.spectrum
-        if not (lin.delay or lin.force_delay):
-            return known.rates, known.slow
-        found = lin.delay_roots(known.poles.shape[1] + int(self.stability.slow.max(initial=0)))
-        return found, np.abs(found) < 1 / self.horizon
+        lin = self.linearization
+        return roots(lin.opened if lin.delay or lin.force_delay else lin.reduced, known=self.spectrum)
 
     def implied_error(self) -> Found:
         """Steady displacement [rad, m] of the joints due to the residual: |A^-1 r| of the linear loop; 0: rounding error only.
@@ -178,26 +188,11 @@ class Evidence:
         i, j = np.unravel_index(int(np.argmax(moved)), moved.shape)
         return Found(float(moved[i, j]), e.robot.joint_names[j], float(self.times[i]))
 
-    def _joint_of(self, i: int, s: complex) -> str:
-        """The joint (or state) with the largest participation factor in the mode of root ``s``."""
-        lin = self.linearization
-        A = close_wires(lin.opened)[0][i] if lin.dt else lin.A[i]
-        if not np.isfinite(s):
-            return ""
-        found, right = np.linalg.eig(A)
-        k = int(np.argmin(np.abs(rates(found, lin.dt) - s)))
-        left = np.linalg.pinv(right)[k]
-        names = lin.state_names
-        name = names[int(np.argmax(np.abs(right[:, k] * left)))]
-        joints = [j for j in self.equations.robot.joint_names if name.endswith(j)]
-        return max(joints, key=len) if joints else name
-
     def _unstable(self) -> Found:
         bad = np.flatnonzero(~self.judged)
         if self.nothing_else:
             return Found(np.nan, "", float(self.times[bad[0]]), "every root is slow, nothing holds the loop within the horizon: no metric is defined")
-        root = self.slowest_root()
-        return Found(np.nan, root.where, float(self.times[bad[0]]), f"unstable at {bad.size} of {self.times.size} times")
+        return Found(np.nan, self.rightmost.where, self.rightmost.time, f"unstable: {self.unstable}")
 
 
 # --- one function for each metric ------------------------------------------------------------------------------------
@@ -241,7 +236,7 @@ def _damping(e: Evidence) -> Found:
     if slow.all():
         return e._unstable()
     note = f"of the {roots.shape[1]} rightmost roots" if e.linearization.delay or e.linearization.force_delay else f"{size[i, k]:.4g} rad/s"
-    return Found(float(ratio[i, k]), e._joint_of(int(i), complex(roots[i, k])), float(e.times[i]), note)
+    return Found(float(ratio[i, k]), located(e.linearization.opened, int(i), complex(roots[i, k])).where, float(e.times[i]), note)
 
 
 def _settling(e: Evidence) -> Found:

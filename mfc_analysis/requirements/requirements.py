@@ -235,7 +235,8 @@ def _stable(evidence: Evidence) -> Line:
     if not verdict.nonzero_stable.all():
         status = Status.FAIL
         bad = np.flatnonzero(~verdict.nonzero_stable)
-        notes.append(f"not stable at {bad.size} of {evidence.times.size} times, first t = {evidence.times[bad[0]]:.4g} s")
+        often = f"; not stable at {bad.size} of {evidence.times.size} times, first t = {evidence.times[bad[0]]:.4g} s"
+        notes.insert(0, f"unstable: {evidence.unstable}{often if evidence.times.size > 1 else ''}")
     elif drifting.any():
         status = Status.WATCH
         first = float(evidence.times[int(np.argmax(drifting))])

@@ -152,7 +152,9 @@ def test_a_light_joint_needs_a_rate_above_the_usual_ones_and_ranges_are_rates():
     assert [found.loop.linearize().stable[0], found.beyond.linearize().stable[0]] == [True, False]
     within = design.min_sample_rate(loop, upper=1e5)
     assert math.isinf(within) and within.outcome is Outcome.NOWHERE
-    assert within.binds.startswith("above the upper end of the search, 100000 1/s: not stable from 0.1 to 100000 1/s; a ")
+    assert within.binds.startswith(
+        "above the upper end of the search, 100000 1/s: not stable from 0.1 to 100000 1/s; joint 1 (joint) at t = 0 s: z = "
+    )
     far = design.min_sample_rate(loop, lower=2e5, upper=1e6)
     assert far == 0.0 and far.binds == "stable down to 200000 1/s"
 

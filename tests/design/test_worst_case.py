@@ -37,7 +37,7 @@ def test_an_unstable_case_is_worse_than_any_metric():
 
     found = design.worst_case(build, {"ki": (0.1, 100.0)}, [0.0], "sensitivity_peak")
     assert not found.stable and math.isnan(float(found)) and found.rightmost > 0 and found.case["ki"] == pytest.approx(100.0)
-    assert "not stable" in str(found)
+    assert "not stable" in str(found) and f"(joint 1 (joint) at t = 0 s: root +{found.rightmost:.3g} ± " in str(found)
 
 
 def test_cases_that_cannot_be_built_are_recorded_and_not_lost():

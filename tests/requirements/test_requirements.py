@@ -300,3 +300,19 @@ def test_the_step_is_said_wherever_the_requirement_is():
 def test_a_step_that_no_requirement_is_of_and_an_unknown_one_are_refused(given):
     with pytest.raises(BadArgument, match="step: got"):
         Requirements(**given)
+
+
+@pytest.mark.parametrize("hardware", [{}, {"torque_lag": 1e-3}, {"delay": 2e-3}, {"sample_time": 2e-3}], ids=str)
+def test_every_line_of_an_unstable_loop_names_joint_time_and_root(hardware):
+    """s^3 + 20 s^2 + 100 s + ki, unstable above ki = 2000: the elbow has 3000, the others 100."""
+    law = mfc.laws.ComputedTorque(kp=100.0, ki=[100, 100, 3000, 100, 100, 100], kd=20.0)
+    loop = mfc.ClosedLoop(mfc.robots.ur5(), law, mfc.trajectories.Hold([0, -0.9, 1.6, -0.7, 1.57, 0]), hardware=mfc.Hardware(**hardware))
+    verdict = Requirements(phase_deg=30.0, disk_margin=0.2).check(loop, [1.2])
+    lin = loop.linearize([1.2])
+    s = lin.delay_roots(1)[0, 0] if lin.delay else max((np.log(lin.poles()[0]) / lin.dt if lin.dt else lin.poles()[0]), key=lambda x: x.real)
+    said = f"root +{s.real:.3g} ± {abs(s.imag):.3g} j 1/s"
+    assert len(verdict.failed) == 3
+    for line in verdict.failed:
+        assert line.note.startswith("unstable: joint 3 (elbow_joint) at t = 1.2 s: ") and said in line.note
+        assert line.where == "elbow_joint" and line.when == 1.2
+    assert said in str(verdict)

@@ -71,7 +71,7 @@ def said(section: Section, check: Line) -> str:
     loop = section.loop or section.title
     place = f" ({check.place})" if check.place else ""
     asked = {"≥": "at least", "≤": "at most", "<": "below"}.get(check.sense, check.sense)
-    name = "rightmost pole" if check.name == "stable" else check.label
+    name = "rightmost root" if check.name == "stable" else check.label
     return f"{name} of {loop}: {found_of(check)}, required: {asked} {str(limit_of(check))[len(check.sense) :].strip()}{place}"
 
 

@@ -209,16 +209,19 @@ class View:
         if np.isnan(line.found):
             return f"{name}: {found_of(said)}{place}{note}."
         if line.name == "stable":
+            late = ", dead time included," if self.delayed else ""
+            if line.note.startswith("unstable"):
+                return f"Not stable{late or ''}{note.removeprefix(': unstable')}."
             word = "Not stable" if line.status == "FAIL" else "Stable, with a warning"
-            return f"{word}: the rightmost pole is at {found_of(said)}{place}{note if word == 'Not stable' else ''}."
+            return f"{word}: the rightmost root{late} is at {found_of(said)}{place}{note if word == 'Not stable' else ''}."
         return f"{name} is {found_of(said)}, required: {limit_of(said)}{place}{note}."
 
     def tightest(self) -> str:
         """The smallest phase margin over all analysis points as text."""
-        if not self.stable:
-            return "the loop is unstable, so its margins are not defined"
         if not self.fed_back.any():
             return "there is no feedback, so there are no margins"
+        if not self.stable:
+            return f"the loop is unstable ({self.evidence.unstable}), so its margins are not defined"
         found = self.smallest["phase_deg"]
         if not np.isfinite(found.value):
             return f"the loop has no crossover ({place_words(self.worst.name, self.worst.time, len(self.times))})"

@@ -25,6 +25,16 @@ def test_the_worst_place_is_where_python_control_has_the_smallest_phase_margin()
     assert_allclose(L_here, [(kd * x**2 + kp * x + ki) / (x * (I * x**2 + B * x - MGR * np.sin(angle))) for x in s], rtol=1e-9)
 
 
+def test_the_finding_of_an_unstable_loop_names_joint_time_and_root() -> None:
+    s = max(np.roots([I, B + 1.0, 10.0 - MGR * np.sin(0.3), 1e3]), key=lambda x: x.real)
+    said = f"joint 1 (joint) at t = 0 s: root +{s.real:.3g} ± {abs(s.imag):.3g} j 1/s"
+    assert unstable().summary() == f"Not stable: {said}." and f"the loop is unstable ({said})" in unstable().tightest()
+
+
+def test_an_open_loop_has_no_feedback_whether_it_holds_or_not() -> None:
+    assert open_loop().tightest() == "there is no feedback, so there are no margins"
+
+
 def test_of_an_unstable_path_the_worst_place_is_the_rightmost_root() -> None:
     found = falling()
     assert not found.stable and found.worst.time == 2.0
@@ -67,6 +77,6 @@ def test_a_loop_that_slides_says_in_its_finding_what_slides_how_slowly_and_what_
     wall = mfc.Environment(1e4, axes="z", preload=10.0)
     for asked in ({}, {"phase_deg": 179.0}):  # also where another requirement comes first
         said = view(mfc.ClosedLoop(mfc.robots.load("ur10"), law, T.Hold(q), environment=wall, hardware=H(torque_lag=2e-3)), **asked).summary()
-        assert "Nothing holds the tool along x" in said and "along z" not in said and "add a foot" in said
+        assert "Nothing holds the tool along x" in said and "along z within" not in said and "add a foot" in said
         assert "time constant of" in said or "zero to rounding" in said
     assert "othing holds" not in mass().summary()
