@@ -38,6 +38,10 @@ def test_a_table_escapes_every_text():
 
 
 @pytest.mark.parametrize("delay", [None, 0.01])
-def test_poles_without_dead_time_are_called_so(delay):
+def test_a_loop_with_dead_time_shows_its_roots_and_not_the_poles_without_it(delay):
     lin = mfc.ClosedLoop(LOOP.robot, LOOP.law, LOOP.ref, hardware=mfc.Hardware(delay=delay)).linearize()
-    assert ("poles without dead time" in lin._repr_html_()) is (delay is not None)
+    page = lin._repr_html_()
+    late = delay is not None
+    assert ("rightmost roots, dead time included" in page) is ("without dead time" in page) is late
+    for s, shown in ((lin.poles()[0, 0], not late), (lin.delay_roots(1)[0, 0], True)):
+        assert (f"{complex(s):.5g}" in page) is shown

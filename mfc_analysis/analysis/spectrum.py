@@ -93,6 +93,13 @@ def pole_table(system: OpenSystem, index: int) -> tuple[Pole, ...]:
     return tuple(_row(complex(p), complex(r), bool(slow), bool(d)) for p, r, slow, d in zip(found.poles[0], s, found.slow[0], decays, strict=True))
 
 
+def root_rows(roots: Complex, horizon: float) -> tuple[Pole, ...]:
+    """Roots [1/s] of a loop with dead time (k,) as rows of such a table, in their order; those that do not exist (-inf) are left out."""
+    s = roots[np.isfinite(roots)]
+    slow, decays = np.abs(s) < 1 / horizon, inside(s, 0.0)
+    return tuple(_row(complex(root), complex(root), bool(late), bool(d)) for root, late, d in zip(s, slow, decays, strict=True))
+
+
 def _row(pole: complex, rate: complex, slow: bool, decays: bool) -> Pole:
     if np.isneginf(rate.real):
         return Pole(pole, np.inf, 1.0, 0.0, "stable")

@@ -29,22 +29,26 @@ class Decentralised:
     b: Array  #: (m, n, k) column of the joint's torque (velocity) command
     c: Array  #: (m, n, k) row of the command: command = c x
     integrals: tuple[int, ...] = ()  #: which of the k states are integrals of the law
+    delay: float = 0.0  #: [s] dead time of the loop, left out here
 
     def poles(self) -> Complex:
-        """(m, n, k) closed-loop poles [1/s] of each joint alone, slowest first."""
+        """(m, n, k) closed-loop poles [1/s] of each joint alone, slowest first; dead time left out."""
         found: Complex = np.linalg.eigvals(self.A).astype(np.complex128)
         return np.take_along_axis(found, np.argsort(-found.real, axis=-1, kind="stable"), axis=-1)
 
     def __str__(self) -> str:
         slowest = self.poles().real.max(axis=-1)
         k = int(np.argmax(slowest.max(axis=0)))
-        return f"{len(self.joints)} separate loops at {len(self.times)} times: slowest pole {slowest.max():.4g} 1/s ({self.joints[k]})"
+        return (
+            f"{len(self.joints)} separate loops at {len(self.times)} times: slowest pole{' without the dead time' if self.delay else ''} "
+            f"{slowest.max():.4g} 1/s ({self.joints[k]})"
+        )
 
     __repr__ = __str__
 
     @property
     def stable(self) -> Bools:
-        """(m, n) True where every root of a joint alone is stable, without integrals that act on nothing."""
+        """(m, n) True where every root of a joint alone is stable, without integrals that act on nothing and without the dead time."""
         from mfc_analysis.analysis.stability import stability
 
         return np.asarray(stability(self._alone()).stable.reshape(self.b.shape[:2]))
@@ -127,4 +131,12 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
             A[:, :, 1, -1] += 1 / M
         else:
             b[:, :, 1] = 1 / M
-    return Decentralised(point.times, equations.robot.joint_names, A + b[..., :, None] * c[..., None, :], b, c, tuple(integrals))
+    return Decentralised(
+        point.times,
+        equations.robot.joint_names,
+        A + b[..., :, None] * c[..., None, :],
+        b,
+        c,
+        tuple(integrals),
+        float(equations.hardware.delay or 0.0),
+    )

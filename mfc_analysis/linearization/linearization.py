@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.analysis.spectrum import Pole, pole_table, poles
+from mfc_analysis.analysis.spectrum import Pole, pole_table, poles, root_rows
 from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, close_wires
 from mfc_analysis.dynamics.equations import Equations
@@ -167,7 +167,7 @@ class Linearization:
     # --- poles ---------------------------------------------------------------------------------------------------
 
     def poles(self, n_jobs: int | None = None) -> Complex:
-        """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; dead time left out. ``n_jobs`` as ``margins``."""
+        """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; dead time left out (``delay_roots``). ``n_jobs`` as ``margins``."""
         if self._many:
             return np.concatenate(each(methodcaller("poles"), self._parts(), checked_jobs(n_jobs)))
         return poles(self.reduced)
@@ -185,8 +185,7 @@ class Linearization:
             return joined(verdicts)
         if self._samples_in_transit > MANY_SAMPLES:
             return stability(self._sampled(on_wires=True))
-        dead = self.delay or self.force_delay
-        return stability(self.opened if dead else self.reduced)
+        return stability(self.opened if self._late else self.reduced)
 
     @property
     def stable(self) -> Bools:
@@ -209,8 +208,13 @@ class Linearization:
         return self.stability.drifts
 
     def pole_table(self, index: int = 0) -> tuple[Pole, ...]:
-        """Poles at one time with natural frequency, damping ratio and time constant, slowest first."""
+        """Poles at one time with natural frequency, damping ratio and time constant, slowest first; dead time left out: see ``root_table``."""
         return pole_table(self.reduced, self._index(index))
+
+    def root_table(self, index: int = 0, count: int = 6) -> tuple[Pole, ...]:
+        """The ``count`` rightmost characteristic roots at one time, exact with dead time, as ``pole_table``; rightmost first. See ``delay_roots``."""
+        i = self._index(index)
+        return root_rows(self.again(self.times[i : i + 1]).delay_roots(count)[0], self.horizon)
 
     def delay_roots(self, count: int = 6) -> Complex:
         """(m, count) rightmost characteristic roots [1/s] with dead time, exact, rightmost first."""
@@ -221,17 +225,20 @@ class Linearization:
     # --- python-control ------------------------------------------------------------------------------------------
 
     def system(self, index: int = 0) -> Any:
-        """The closed loop at one time as a ``control.StateSpace`` with named signals; dead time left out."""
+        """The closed loop at one time as a ``control.StateSpace`` with named signals; dead time left out, as its ``name`` says."""
         import control
 
         i = self._index(index)
         A, B, C, D = (M[i] for M in self._closed)
-        return control.ss(A, B, C, D, self.dt, states=list(self.state_names), inputs=list(self.input_names), outputs=list(self.output_names))
+        return control.ss(
+            A, B, C, D, self.dt, name=self._exported("closed_loop"),
+            states=list(self.state_names), inputs=list(self.input_names), outputs=list(self.output_names),
+        )  # fmt: skip
 
     def loop(self, index: int = 0, at: str | None = None, channel: int | str | None = None) -> Any:
         """L(s) at one time, opened at ``at`` in one channel (default: the first), the others closed; negative feedback; dead time left out.
 
-        Returns a ``control.StateSpace`` with one input and output.
+        Returns a ``control.StateSpace`` with one input and output; its ``name`` says so where dead time is left out.
         Raises UnknownPoint, and UnknownName for an unknown channel.
         """
         import control
@@ -246,8 +253,17 @@ class Linearization:
         through = 1.0 + float(found.H0[0, j])  # S = through + c (sI - A)^-1 b, and L = 1/S - 1
         return control.ss(
             A - np.outer(b, c) / through, b[:, None] / through, -c[None, :] / through, [[1 / through - 1]], self.dt,
-            inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"],
+            inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"], name=self._exported(f"L_{at}_{names[j]}"),
         )  # fmt: skip
+
+    @property
+    def _late(self) -> bool:
+        """Whether the matrices leave out dead time."""
+        return bool(self.delay or self.force_delay)
+
+    def _exported(self, name: str) -> str:
+        """Name of a system handed to python-control, which allows no full stop in it."""
+        return f"{name}{'_without_dead_time' if self._late else ''}".replace(".", "_")
 
     # --- margins and responses -----------------------------------------------------------------------------------
 
@@ -344,7 +360,13 @@ class Linearization:
             f"({kind}; coordinates {self.coordinates!r})\n"
             f"stable at {int(stable.sum())} of {len(stable)} times; slow roots {int(self.slow.max(initial=0))}; "
             f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {np.abs(self.residual).max(initial=0.0):.3g}"
+            + (f"\ndead time {self._dead_time}: included in the verdict; A, poles(), system() and loop() are without dead time" if self._late else "")
         )
+
+    @property
+    def _dead_time(self) -> str:
+        said = ((self.delay, "s"), (self.force_delay, "s of the force sensor"))
+        return " and ".join(f"{late:g} {word}" for late, word in said if late)
 
     __repr__ = __str__
 
@@ -353,11 +375,11 @@ class Linearization:
 
         title, *notes = str(self).splitlines()
         worst = int(np.argmin(self.stable))
-        rows = [(f"{p.value:.5g}", f"{p.frequency:.4g}", f"{p.damping:.3g}", f"{p.time_constant:.4g}") for p in self.pole_table(worst)]
-        dead = " without dead time" if self.delay or self.force_delay else ""
-        return table(
-            f"{title}; poles{dead} at t = {self.times[worst]:g} s", ("pole [1/s]", "wn [rad/s]", "damping", "time constant [s]"), rows, notes
-        )
+        found = self.root_table(worst) if self._late else self.pole_table(worst)
+        rows = [(f"{p.value:.5g}", f"{p.frequency:.4g}", f"{p.damping:.3g}", f"{p.time_constant:.4g}") for p in found]
+        what = "rightmost roots, dead time included," if self._late else "poles"
+        name = "root [1/s]" if self._late else "pole [z]" if self.dt else "pole [1/s]"
+        return table(f"{title}; {what} at t = {self.times[worst]:g} s", (name, "wn [rad/s]", "damping", "time constant [s]"), rows, notes)
 
 
 def linearize(

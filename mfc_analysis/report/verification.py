@@ -55,7 +55,8 @@ class Record:
     times: Any  #: (m,) [s]
     asked: Mapping[str, float]
     margins: Margins | None
-    poles: Any  #: (k,) slowest poles [1/s] (or z) at the worst time; None where there are none
+    poles: Any  #: (k,) slowest poles [1/s] (or z) at the worst time, with dead time the rightmost roots; None where there are none
+    late: bool  #: whether these are the roots with dead time
     numbers: Mapping[str, float]
     outcome: str = ""  #: of the test: "passed", "failed", ...; empty while it runs
 
@@ -82,6 +83,7 @@ def record(asserted: Asserted, test: str, number: int) -> Record:
             {},
             None,
             None,
+            False,
             numbers,
         )
     evidence = verdict.evidence
@@ -92,10 +94,12 @@ def record(asserted: Asserted, test: str, number: int) -> Record:
     when = next((line.when for line in asserted.lines if line.when is not None), float(verdict.times[0]))
     i = int(np.argmin(np.abs(verdict.times - when)))
     asked = {line.name: line.asked for line in asserted.lines if line.name not in ("stable", "residual")}
-    poles = np.array(evidence.linearization.poles()[i][:POLES])
+    lin = evidence.linearization
+    late = bool(lin.delay or lin.force_delay)
+    poles = np.array((evidence.roots[0] if late else lin.poles())[i][:POLES])
     return Record(
         test, number, asserted.what, str(asserted.loop), checks(found.lines), asserted.passed, verdict.notes, asserted.replay, verdict.at,
-        np.array(verdict.times), asked, margins, poles, {},
+        np.array(verdict.times), asked, margins, poles[np.isfinite(poles)], late, {},
     )  # fmt: skip
 
 
@@ -171,7 +175,9 @@ def _poles(r: Record) -> list[Block]:
     if r.poles is None or not len(r.poles):
         return []
     rows = tuple((k + 1, complex(p)) for k, p in enumerate(r.poles))
-    return [Table(f"The {len(r.poles)} slowest closed-loop poles at the worst time.", (Column("No."), Column("Pole", "1/s or z")), rows)]
+    what = "rightmost characteristic roots, dead time included exactly," if r.late else "slowest closed-loop poles"
+    head = Column("Root", "1/s") if r.late else Column("Pole", "1/s or z")
+    return [Table(f"The {len(r.poles)} {what} at the worst time.", (Column("No."), head), rows)]
 
 
 def _numbers(m: Margins | None) -> dict[str, Any]:

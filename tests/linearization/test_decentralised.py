@@ -127,3 +127,9 @@ def test_a_sampled_loop_is_refused() -> None:
     loop = ClosedLoop(robots.single_joint(), L.JointPID(20.0, 5.0, 3.0), Hold([0.4]), hardware=Hardware(sample_time=1e-3))
     with pytest.raises(Unsupported):
         loop.linearize([0.0]).decentralised()
+
+
+def test_dead_time_is_left_out_and_named():
+    for delay, said in ((None, False), (0.01, True)):
+        loop = ClosedLoop(robots.planar_2r(), L.JointPID(50.0, kd=10.0), Hold([0.2, 0.4]), hardware=Hardware(delay=delay))
+        assert ("without the dead time" in str(loop.linearize().decentralised())) is said

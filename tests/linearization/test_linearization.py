@@ -218,3 +218,30 @@ def test_at_a_pole_of_the_other_loops_a_response_is_not_finite_and_raises_nothin
     found = lin.frequency_response([1.0, 10.0, 30.0])[0]
     assert np.isfinite(found[:, [0, 2]]).all()
     assert_allclose(found[0], -100.0 / np.array([1.0, 10.0, 30.0]) ** 2, rtol=1e-12)  # L = ki / s^2 of joint 0 itself
+
+
+@pytest.mark.parametrize("hardware", [{}, {"delay": 0.02}, {"sample_time": 0.01, "delay": 0.02}], ids=str)
+def test_what_is_handed_to_python_control_without_its_dead_time_says_so(hardware):
+    """A sampled loop includes it: nothing is left out there."""
+    lin = ClosedLoop(robots.planar_2r(), L.ComputedTorque(100.0, kd=20.0), Hold([0.2, 0.4]), hardware=Hardware(**hardware)).linearize()
+    late = hardware == {"delay": 0.02}
+    for given in (lin.system(0), lin.loop(0, channel=1)):
+        assert ("without_dead_time" in given.name) is late
+    assert lin.loop(0, channel=1).name.startswith("L_torque_joint2")
+    assert ("without dead time" in str(lin)) is late and ("dead time 0.02 s" in str(lin)) is late
+
+
+def test_the_table_of_roots_is_that_of_the_characteristic_equation():
+    """s = -k e^(-s T) on 9.2: the roots are W(-k T) / T on the branches of Lambert's function."""
+    from scipy.special import lambertw
+
+    k, late = 5.0, 0.1
+    loop = ClosedLoop(robots.single_joint(), L.VelocityP(k), Hold([0.3]), hardware=Hardware(delay=late))
+    rows = loop.linearize([0.0, 1.0]).root_table(1, 4)
+    for row, s in zip(rows[::2], (lambertw(-k * late, branch) / late for branch in (0, 1)), strict=True):
+        assert row.value == pytest.approx(complex(s), rel=1e-9) and row.kind == "stable"
+        assert (
+            row.frequency == pytest.approx(abs(s))
+            and row.damping == pytest.approx(-s.real / abs(s))
+            and row.time_constant == pytest.approx(-1 / s.real)
+        )

@@ -3,6 +3,7 @@
 import pickle
 
 import pytest
+from scipy.special import lambertw
 
 import mfc_analysis as mfc
 from mfc_analysis.report.document.verdict import verdict
@@ -54,3 +55,14 @@ def test_each_section_has_its_evidence_and_its_replay(records):
     assert found["c.py::third"].numbers["taylor_order"] == float("inf")
     for section in found.values():
         assert any("mfc.ClosedLoop(" in getattr(block, "text", "") for block in section.body if isinstance(getattr(block, "text", ""), str))
+
+
+def test_of_a_loop_with_dead_time_the_roots_with_it_are_shown():
+    """9.2 with k T = 2 > pi/2: the roots of s + k exp(-s T) are Lambert's W(-k T) / T; the pole without dead time is at -20."""
+    made = []
+    late = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.VelocityP(20.0), hold(), hardware=mfc.Hardware(delay=0.1))
+    with observed(lambda a: made.append(record(a, "t", 0))), pytest.raises(AssertionError):
+        assert_stable(late)
+    assert made[0].poles[0] == pytest.approx(complex(lambertw(-2.0, 0)) / 0.1)
+    page = rendered(verification_document(made), ("html",))["html"].decode()
+    assert "rightmost characteristic roots, dead time included" in page and "closed-loop poles" not in page

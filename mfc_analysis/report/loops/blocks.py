@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfc_analysis import plots
-from mfc_analysis.analysis.spectrum import Pole
+from mfc_analysis.analysis.spectrum import root_rows
 from mfc_analysis.plots.frequency import of_channel
 from mfc_analysis.report.document.document import (
     Block,
@@ -77,7 +77,7 @@ def three_numbers(view: View) -> KeyFacts:
 
     return KeyFacts(
         (
-            Fact("Rightmost pole", value, place),
+            Fact("Rightmost root, dead time included" if view.delayed else "Rightmost pole", value, place),
             fact("Phase margin", "phase_deg", "°", 1.0, "no crossover"),
             fact("Delay margin", "delay", "ms", 1e3, "unlimited"),
         )
@@ -88,7 +88,7 @@ def pole_rows(view: View, most: int = 24) -> Table:
     """Poles in the worst case, slowest first, or the rightmost roots with dead time: natural frequency, damping ratio and time constant."""
     i = view.worst.row
     rows = []
-    for p in delayed_rows(view, i) if view.delayed else view.lin.pole_table(i):
+    for p in root_rows(view.poles[i], view.evidence.horizon) if view.delayed else view.lin.pole_table(i):
         if p.value.imag < 0 and p.kind != "slow":
             continue
         kind = "" if p.kind == "stable" else p.kind
@@ -100,17 +100,6 @@ def pole_rows(view: View, most: int = 24) -> Table:
     name = "Pole" if not view.delayed else "Root"
     columns = (Column(name, unit), Column(Math("omega_n"), "rad/s"), Column(Math("zeta")), Column("Time constant", "s"), Column("", numeric=False))
     return Table(f"{ROOTS if view.delayed else POLES}{where}, {order} first{cut}.", columns, tuple(rows[:most]))
-
-
-def delayed_rows(view: View, i: int) -> tuple[Pole, ...]:
-    """The rightmost roots of a loop with dead time at time number i, as rows of the table of poles."""
-    out = []
-    for s in view.poles[i]:
-        z, size = complex(s), abs(s)
-        slow = size < 1 / view.evidence.horizon
-        kind = "slow" if slow else "stable" if z.real < 0 else "unstable"
-        out.append(Pole(z, float(size), float("nan") if slow else -z.real / size, -1 / z.real if z.real else float("inf"), kind))
-    return tuple(out)
 
 
 def points_table(view: View) -> Table | None:

@@ -75,7 +75,7 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
         "drifts": view.lin.drifts,
         "worst": {"time": w.time, "channel": w.name},
         "smallest": {name: asdict(found) for name, found in view.smallest.items()},
-        "poles": view.evidence.spectrum.poles[i],
+        "poles_without_dead_time" if view.delayed else "poles": view.evidence.spectrum.poles[i],
         **({"delay_roots": view.poles[i]} if view.delayed else {}),
         "channels": m.channels,
         "phase_deg": m.phase_deg[i],
@@ -107,7 +107,7 @@ def validated(view: View, time: float = VALIDATED) -> Validation | None:
     """
     hardware = view.loop.equations.hardware
     grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=np.inf)
-    roots = view.evidence.spectrum.rates[view.worst.row]
+    roots = view.evidence.roots[0][view.worst.row]
     ringing = np.abs(roots)[np.isfinite(roots) & (np.abs(roots.real) < RINGS * np.abs(roots))].max(initial=0.0)
     span = min(time, SEGMENTS * grain, max(PERIODS * 2 * np.pi / ringing, SHORTEST) if ringing else np.inf)
     if view.growth > 0:

@@ -209,11 +209,11 @@ class View:
         if np.isnan(line.found):
             return f"{name}: {found_of(said)}{place}{note}."
         if line.name == "stable":
-            late = ", dead time included," if self.delayed else ""
+            late = " (dead time included)" if self.delayed else ""
             if line.note.startswith("unstable"):
-                return f"Not stable{late or ''}{note.removeprefix(': unstable')}."
+                return f"Not stable{late}{note.removeprefix(': unstable')}."
             word = "Not stable" if line.status == "FAIL" else "Stable, with a warning"
-            return f"{word}: the rightmost root{late} is at {found_of(said)}{place}{note if word == 'Not stable' else ''}."
+            return f"{word}: the rightmost {'root' if late else 'pole'}{late} is at {found_of(said)}{place}{note if word == 'Not stable' else ''}."
         return f"{name} is {found_of(said)}, required: {limit_of(said)}{place}{note}."
 
     def tightest(self) -> str:

@@ -41,6 +41,14 @@ def test_with_dead_time_the_roots_are_those_of_lamberts_function() -> None:
     assert sections.pole_section(velocity(k)).numbers == {}
 
 
+def test_the_numbers_of_a_loop_with_dead_time_call_its_poles_what_they_are() -> None:
+    """The JSON has no field "poles" there: -k is no root of s + k exp(-s T)."""
+    found = sections.numbers(velocity(4.0, H(delay=0.1)))
+    assert "poles" not in found and found["poles_without_dead_time"] == pytest.approx([-4.0])
+    assert found["delay_roots"][0] == pytest.approx(complex(lambertw(-0.4, 0)) / 0.1)
+    assert "poles" in sections.numbers(velocity(4.0)) and "poles" in sections.numbers(velocity(4.0, H(delay=0.1, sample_time=0.05)))
+
+
 @pytest.mark.parametrize(("make", "time"), [
     (lambda: velocity(4.0), sections.VALIDATED), (lambda: velocity(4.0, H(sample_time=8e-3)), sections.SEGMENTS * 8e-3),
     (lambda: mass(1e4, 10.0), sections.PERIODS * 2 * np.pi / 100.0), (lambda: mass(1.6e5, 100.0), sections.SHORTEST),

@@ -6,8 +6,10 @@ import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.special import lambertw
 
 import mfc_analysis as mfc
+from mfc_analysis.report.loops import blocks
 from mfc_analysis.report.loops.view import FAR, MOST_DECADES, place_words
 from tests.report.loops.views import MGR, B, H, I, L, T, falling, joint, links, mass, open_loop, planar, unstable, velocity, view
 
@@ -29,6 +31,16 @@ def test_the_finding_of_an_unstable_loop_names_joint_time_and_root() -> None:
     s = max(np.roots([I, B + 1.0, 10.0 - MGR * np.sin(0.3), 1e3]), key=lambda x: x.real)
     said = f"joint 1 (joint) at t = 0 s: root +{s.real:.3g} ± {abs(s.imag):.3g} j 1/s"
     assert unstable().summary() == f"Not stable: {said}." and f"the loop is unstable ({said})" in unstable().tightest()
+
+
+def test_with_dead_time_the_finding_says_that_it_is_included() -> None:
+    """9.2 with k T = 2 > pi/2: the pole without dead time is at -20."""
+    s = complex(lambertw(-2.0, 0)) / 0.1
+    late = velocity(20.0, H(delay=0.1))
+    assert late.summary() == f"Not stable (dead time included): joint 1 (joint) at t = 0 s: root +{s.real:.3g} ± {s.imag:.3g} j 1/s."
+    fact = blocks.three_numbers(late).facts[0]
+    assert fact.name == "Rightmost root, dead time included" and fact.value.value == pytest.approx(s.real)
+    assert blocks.three_numbers(velocity(20.0)).facts[0].name == "Rightmost pole"
 
 
 def test_an_open_loop_has_no_feedback_whether_it_holds_or_not() -> None:
