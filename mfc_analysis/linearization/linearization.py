@@ -360,7 +360,11 @@ class Linearization:
             f"({kind}; coordinates {self.coordinates!r})\n"
             f"stable at {int(stable.sum())} of {len(stable)} times; slow roots {int(self.slow.max(initial=0))}; "
             f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {np.abs(self.residual).max(initial=0.0):.3g}"
-            + (f"\ndead time {self._dead_time}: included in the verdict; A, poles(), system() and loop() are without dead time" if self._late else "")
+            + (
+                f"\ndead time {self._dead_time}: A, poles, system and loop are without dead time; verdict, margins and delay_roots include it"
+                if self._late
+                else ""
+            )
         )
 
     @property

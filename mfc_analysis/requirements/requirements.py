@@ -268,6 +268,8 @@ def _notes(evidence: Evidence, status: Status) -> tuple[str, ...]:
         )
     if verdict.slow.any():
         out.append(slow_words(evidence).roots)
+        if not verdict.drifts.any() and slow_words(evidence).means:
+            out.append(slow_words(evidence).means)
     if verdict.idle.any():
         out.append(f"integrals that act on nothing, left out: {int(verdict.idle.max())}")
     if verdict.drifts.any():

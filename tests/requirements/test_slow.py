@@ -52,7 +52,46 @@ def test_free_positions_stay_where_they_are_put() -> None:
         mfc.robots.load("panda"), mfc.laws.ComputedTorque(kp=0.0, kd=5.0), mfc.trajectories.Hold(np.full(7, 0.3) * [1, 1, 1, -5, 1, 5, 1])
     )
     words = slow_words(Evidence(loop.equations, np.zeros(1)))
-    assert words.roots.startswith("7 slow roots") and "zero to rounding" in words.roots and words.means == ""
+    assert words.roots.startswith("7 slow roots") and "zero to rounding" in words.roots and words.moves == words.fastest == ""
+    assert words.means.startswith("nothing brings all 7 joints back within 100 s: they stay nearly where put; add position feedback")
+    assert mfc.Requirements().check(loop, [0.0]).status == "PASS" and words.means in str(mfc.Requirements().check(loop, [0.0]))
+
+
+@pytest.mark.parametrize("hardware", [{}, {"torque_lag": 2e-3}, {"delay": 2e-3}, {"sample_time": 2e-3}], ids=str)
+def test_a_joint_that_is_free_and_does_not_drift_is_named(hardware: dict[str, float]) -> None:
+    law = mfc.laws.ComputedTorque(kp=[100.0, 100.0, 0.0, 100.0, 100.0, 100.0], kd=20.0)
+    loop = mfc.ClosedLoop(mfc.robots.ur5(), law, mfc.trajectories.Hold(Q), hardware=mfc.Hardware(**hardware))
+    found = Evidence(loop.equations, np.zeros(1))  # at rest gravity is cancelled with any hardware: the elbow keeps what it is given
+    assert found.stability.slow[0] == 1 and not found.stability.drifts[0]
+    assert slow_words(found).means.startswith("nothing brings elbow_joint back")
+
+
+def test_a_prismatic_joint_that_is_free_is_named() -> None:
+    loop = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.ComputedTorque(kp=0.0, kd=5.0), mfc.trajectories.Hold([0.0]))
+    assert slow_words(Evidence(loop.equations, np.zeros(1))).means.startswith("nothing brings slide back within 100 s: it stays nearly where put")
+
+
+def test_a_gripped_tool_turns_freely_about_its_grip_and_a_redundant_arm_keeps_its_posture() -> None:
+    """A wall in x, y and z holds no rotation; a wall in all six directions leaves the panda one self-motion."""
+    words = slow_words(Evidence(on_a_wall("xyz").equations, np.zeros(1)))
+    assert words.means.startswith("nothing brings the tool back about x") and "along" not in words.means and "add a foot" in words.means
+    assert "time constant" in words.fastest  # the rotations creep
+    q = np.array([0.3, 0.3, 0.3, -1.5, 0.3, 1.5, 0.3])
+    grip = mfc.Environment([1e4, 1e4, 1e4, 100.0, 100.0, 100.0], axes="xyzrxryrz", preload=[0, 0, 10.0, 0, 0, 0])
+    law = mfc.laws.DampedForcePI(10 * Z, Z, 2 * Z, kdamp=40.0)
+    held = mfc.ClosedLoop(mfc.robots.load("panda"), law, mfc.trajectories.Hold(q), environment=grip)
+    found = Evidence(held.equations, np.zeros(1))
+    assert found.stability.slow[0] == 7 - 6 and not found.stability.drifts[0]
+    assert slow_words(found).means.startswith("nothing brings the posture (")
+
+
+@pytest.mark.parametrize(("kd", "said"), [(20.0, "nothing brings the tool back along y (tool axes)"), (0.0, "nothing holds the tool along y within")])
+def test_of_a_tool_law_the_axes_of_its_error_are_named(kd: float, said: str) -> None:
+    """9.16 with kp = 0 along y: its states are X_e and V_e in tool axes, not joint positions."""
+    law = mfc.laws.TaskComputedTorque(kp=[100.0, 0.0, 100.0, 100.0, 100.0, 100.0], kd=[20.0, kd, 20.0, 20.0, 20.0, 20.0])
+    found = Evidence(mfc.ClosedLoop(mfc.robots.load("ur10"), law, mfc.trajectories.Hold(Q)).equations, np.zeros(1))
+    assert found.linearization.coordinates == "error" and bool(found.stability.drifts[0]) == (kd == 0)
+    assert slow_words(found).means.startswith(said)
 
 
 def test_a_joint_that_ramps_is_named_and_a_loop_without_slow_roots_says_so() -> None:

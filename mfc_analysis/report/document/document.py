@@ -288,6 +288,7 @@ class Scrubber:
     worst: int  #: index of the worst time
     caption: Text
     alt: str
+    heading: str = "Poles"  #: of the map: what ``poles`` are
 
 
 Block = Paragraph | Bullets | Code | Callout | Equation | Table | Figure | Row | KeyFacts | Compare | Matrix | Scrubber

@@ -37,7 +37,7 @@ def moving(given: Scrubber) -> Moving:
     kept = _kept(times.size, given.worst)
     now = int(np.searchsorted(kept, given.worst))
     poles = _followed(np.asarray(given.poles, complex).reshape(times.size, -1)[kept])
-    plane, px, py = _plane(poles, now)
+    plane, px, py = _plane(poles, now, given.heading)
     charts, cx, ys = _charts(times[kept], [_only(t, kept) for t in given.traces], now)
     words = [[f"{t.name} {Number(float(v), t.unit)}" for v in np.asarray(t.values, float)[kept]] for t in given.traces]
     said = [f"t = {written(float(t), exact=True)} s: " + ", ".join(w[i] for w in words) for i, t in enumerate(np.round(times[kept], 4))]
@@ -75,7 +75,7 @@ def _followed(poles: Complex) -> Complex:
     return out
 
 
-def _plane(poles: Complex, now: int) -> tuple[str, Array, Array]:
+def _plane(poles: Complex, now: int, heading: str) -> tuple[str, Array, Array]:
     size = np.abs(poles[np.isfinite(poles)])
     largest = float(size.max(initial=1e-3))
     slow = float(np.quantile(size, 0.1)) if size.size else 1.0
@@ -115,7 +115,7 @@ def _plane(poles: Complex, now: int) -> tuple[str, Array, Array]:
             svg, "path", {"class": "pole", "d": "M-3.5-3.5 3.5 3.5M-3.5 3.5 3.5-3.5", "transform": f"translate({x:.1f} {y:.1f})"}
         )
         mark.set("style", f"fill: none; stroke: {_LINE}; stroke-width: 1.6")
-    _text(svg, left, 11, "Poles (symmetric log scale)", "start", bold=True)
+    _text(svg, left, 11, f"{heading} (symmetric log scale)", "start", bold=True)
     _text(svg, (left + right) / 2, bottom + 27, "Re s [1/s]", "middle")
     _text(svg, 10, (top + bottom) / 2, "Im s [1/s]", "middle", turned=True)
     return _said(svg), px, py

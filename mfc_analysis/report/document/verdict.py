@@ -69,6 +69,8 @@ def _beside(shown: list[tuple[Section, Line]]) -> str:
 def said(section: Section, check: Line) -> str:
     """One check as text: name, value, requirement, where and when."""
     loop = section.loop or section.title
+    if check.name == "stable" and check.note.startswith("unstable: "):
+        return f"{loop} is not stable: {check.note.removeprefix('unstable: ')}"
     place = f" ({check.place})" if check.place else ""
     asked = {"≥": "at least", "≤": "at most", "<": "below"}.get(check.sense, check.sense)
     name = "rightmost root" if check.name == "stable" else check.label

@@ -299,7 +299,8 @@ def scrubber(view: View) -> Scrubber | None:
         tuple(traces[:3]),
         view.worst.row,
         f"{ROOTS if view.delayed else 'Poles'} (grey: their loci) and the smallest margins at “{view.point}” at one time along the path.",
-        f"{'Roots' if view.delayed else 'Poles'} and margins of {view.name} along the path; {said}.",
+        f"{'Roots with dead time' if view.delayed else 'Poles'} and margins of {view.name} along the path; {said}.",
+        "Roots with dead time" if view.delayed else "Poles",
     )
 
 

@@ -119,9 +119,7 @@ def validated(view: View, time: float = VALIDATED) -> Validation | None:
 
 
 def _notes(view: View) -> list[Block]:
-    notes = [
-        f"{line.label}: {line.note}" for line in view.verdict.lines if line.note and (line.name == "stable" or not line.note.startswith("unstable"))
-    ]
+    notes = [f"{line.label}: {line.note}" for line in view.verdict.lines if line.note and not line.note.startswith("unstable")]  # in the finding
     said = [*notes, *view.verdict.notes]
     out: list[Block] = [Bullets(tuple(x[:1].upper() + x[1:] + "." for x in said))] if said else []
     if not view.requirements.asked():
@@ -177,6 +175,8 @@ def pole_section(view: View) -> Section:
     line = view.verdict.line("stable")
     if np.isneginf(root.value) or np.isnan(root.value):
         finding = "Every root is slow: " + (line.note or "no error decays") + "."
+    elif view.evidence.unstable:
+        finding = f"Not stable{' (dead time included)' if view.delayed else ''}: {view.evidence.unstable}."
     else:
         what = "root that is not slow, dead time included," if view.delayed else "fast pole"
         finding = f"The rightmost {what} is at {Number(root.value, '1/s')} ({root.where}, t = {written(root.when or 0.0, exact=True)} s)."
@@ -199,6 +199,7 @@ def path_section(view: View) -> Sequence[Section]:
     if not view.stable:
         bad = np.flatnonzero(~view.evidence.judged)
         finding = f"Unstable at {bad.size} of {len(view.times)} times, first at t = {written(float(view.times[bad[0]]), exact=True)} s."
+        finding += f" The rightmost root: {view.evidence.unstable}." if view.evidence.unstable else ""
     elif np.isfinite(m.phase_deg).any():
         low, high = float(np.nanmin(m.phase_deg)), float(np.nanmax(np.where(np.isfinite(m.phase_deg), m.phase_deg, np.nan)))
         finding = (

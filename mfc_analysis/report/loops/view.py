@@ -186,15 +186,13 @@ class View:
             span = min(2 * span, duration)
 
     def summary(self) -> str:
-        """The finding, made from the verdict; where the loop drifts also what moves, how slowly, and what would stop it."""
-        return f"{self._found()} {self.drift()}".rstrip()
+        """The finding, made from the verdict; where something drifts or is free also what, how slowly, and what would hold it."""
+        return f"{self._found()} {self.slow()}".rstrip()
 
-    def drift(self) -> str:
-        """A sentence on what keeps moving within the horizon; "" where nothing does."""
-        if not self.evidence.stability.drifts.any():
-            return ""
+    def slow(self) -> str:
+        """Sentences on what keeps moving or is free within the horizon; "" where nothing is."""
         words = slow_words(self.evidence)
-        return " ".join(f"{text[:1].upper()}{text[1:]}." for text in (words.means, words.fastest))
+        return " ".join(f"{text[:1].upper()}{text[1:]}." for text in (words.means, words.fastest) if words.means and text)
 
     def _found(self) -> str:
         line, checks = self.verdict.worst, self.checks

@@ -52,7 +52,7 @@ def html(tree: Tree, drawings: Mapping[str, str], formulas: Mapping[str, str], s
     for key, made in scrubbers.items():
         alt = tree.scrubbers[key].alt
         moving[key] = {
-            "poles": inline_svg(made.poles, f"{key}-poles", "Poles. " + alt),
+            "poles": inline_svg(made.poles, f"{key}-poles", f"{tree.scrubbers[key].heading}. {alt}"),
             "traces": inline_svg(made.traces, f"{key}-traces", "Margins. " + alt),
             "data": script_json(made.data),
         }
