@@ -14,6 +14,7 @@ Text is a string, or a tuple of strings and spans (``Math``, ``Mono``, ``Strong`
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,6 +25,14 @@ from mfc_analysis.requirements.line import Line, Status, worst
 # --- text --------------------------------------------------------------------------------------------------------
 
 _FORBIDDEN = ("#", "$", "`", "//", "/*", "\\u")
+_MARKUP = (  # Typst -> text
+    (r"hat\((\w+)\)", r"\1^"),
+    (r"dot\.double\((\w+)\)", r"\1''"),
+    (r"dot\((\w+)\)", r"\1'"),
+    (r"_\((\w) (\w)\)", r"_\1\2"),
+    (r" slash ", " / "),
+    (r"\"", ""),
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +46,16 @@ class Math:
         for bad in _FORBIDDEN:
             if bad in self.source:
                 raise BadArgument("source", self.source, f"Typst mathematics without {bad!r}")
+
+    @property
+    def words(self) -> str:
+        """The spoken form, or else the source without its markup: ``hat(g)`` as ``g^``, ``k_"damp"`` as ``k_damp``, ``M_(j j)`` as ``M_jj``."""
+        if self.alt:
+            return self.alt
+        text = self.source
+        for pattern, plain in _MARKUP:
+            text = re.sub(pattern, plain, text)
+        return text
 
 
 @dataclass(frozen=True)

@@ -167,7 +167,7 @@ class _Builder:
 
     def _span(self, x: s.Span) -> dict[str, str]:
         if isinstance(x, s.Math):
-            return {"k": "math", "id": self._equation(x.source, False), "t": x.alt or x.source}
+            return {"k": "math", "id": self._equation(x.source, False), "t": x.words}
         if isinstance(x, s.Mono):
             return {"k": "mono", "t": clean(x.text)}
         if isinstance(x, s.Strong):

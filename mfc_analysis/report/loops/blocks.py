@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mfc_analysis.simulation.validation import Validation
 
 
+WORTH = 0.2  #: of a limit: a torque above it is drawn with the limit
 MOST_TRACES = 121  #: times of the margin histories
 POLES, ROOTS = "Closed-loop poles", "Rightmost characteristic roots, dead time included exactly"  #: heads of captions without and with dead time
 _LIMITS = ("phase_deg", "gain_increase_db", "gain_reduction_db", "delay", "sensitivity_peak")
@@ -206,7 +207,12 @@ def complex_words(z: complex) -> str:
 def step_figure(view: View, run: StepRun) -> Figure:
     """The linear and the nonlinear step response, and the torque or velocity of the joint that works hardest."""
     velocity = view.loop.equations.actuator == "velocity"
-    limit = None
+    equations = view.loop.equations
+    limits = np.array(view.loop.robot.limits.velocity if velocity else view.loop.robot.limits.torque)
+    if not velocity and equations.joints.torque_limit is not None:
+        limits = np.minimum(limits, equations.joints.torque_limit)
+    limit = float(limits[run.joint])
+    shown = np.isfinite(limit) and np.abs(run.drive).max(initial=0.0) > WORTH * limit  # a far limit would flatten the curve
     joint = view.loop.robot.joint_names[run.joint]
     quantity = f"{'F' if run.channel.startswith('F_') else 'X' if run.channel.startswith('X_') else 'q'} [{run.unit}]"
     drive = "u" if velocity else "τ"
@@ -219,14 +225,15 @@ def step_figure(view: View, run: StepRun) -> Figure:
             run.predicted,
             nonlinear=(run.t[: run.nonlinear.size], run.nonlinear),
             torque=(run.t[: run.drive.size], run.drive),
-            torque_limit=limit,
+            torque_limit=limit if shown else None,
             target=run.size if run.linear.outcome.name == "SETTLES" else None,
             band=0.02 * run.size if run.linear.outcome.name == "SETTLES" else None,
             index=view.worst.channel,
             quantity=quantity,
             drive=f"{drive} [{drive_unit(unit, velocity)}]",
         ),
-        f"A {said}. Below: the {'velocity' if velocity else 'torque'} of {joint}.",
+        f"A {said}. Below: the {'velocity' if velocity else 'torque'} of {joint}"
+        + (f"; limit {Number(limit, drive_unit(unit, velocity))}{' (dotted)' if shown else ', not reached'}." if np.isfinite(limit) else "."),
         f"Step response of {view.name}: {said}.",
     )
 

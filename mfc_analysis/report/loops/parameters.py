@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -87,7 +88,8 @@ def parameters(view: View) -> tuple[Block, ...]:
     law, n = view.loop.law, view.loop.robot.n
     rows = []
     for name, gain in law.gains().items():
-        rows.append((name, law.units.get(name, "").replace("^2", "²").replace("^3", "³"), gain_words(gain)))
+        unit = law.units.get(name, "").replace("^2", "²").replace("^3", "³")
+        rows.append((name, unit_words(unit, view.loop.robot.joint_units) if law.space == "joint" else unit, gain_words(gain)))
     if rows:
         heads = (
             Column("Gain", numeric=False),
@@ -101,7 +103,7 @@ def parameters(view: View) -> tuple[Block, ...]:
         given = getattr(hardware, field.name)
         if given is not None and field.name in _HARDWARE:
             word, unit = _HARDWARE[field.name]
-            facts.append((word, f"{array_words(np.asarray(given, float))} {unit}"))
+            facts.append((word, f"{array_words(np.asarray(given, float))} {unit_words(unit, view.loop.robot.joint_units)}"))
     if hardware.elastic:
         facts.append(("encoder of the elastic joints", hardware.feedback))
     if hardware.ideal:
@@ -111,6 +113,14 @@ def parameters(view: View) -> tuple[Block, ...]:
     columns = (Column("Item", numeric=False), Column("Value", numeric=False))
     out.append(Table("Robot, model, path and hardware.", columns, tuple(facts)))
     return tuple(out)
+
+
+def unit_words(unit: str, joints: Sequence[str]) -> str:
+    """A unit of turning joints, as it is for these joints ("rad" or "m"); of mixed joints both."""
+    sliding = unit.replace("Nm", "N").replace("kg m²", "kg").replace("rad", "m")
+    if sliding == unit or "m" not in joints:
+        return unit
+    return f"{unit} ({sliding} of sliding joints)" if "rad" in joints else sliding
 
 
 def gain_words(gain: Gain) -> str:

@@ -126,7 +126,7 @@ def _cell(cell: Any) -> Any:
 def words(text: s.Text) -> str:
     """A text without its markup."""
     spans = text if isinstance(text, tuple) else (text,)
-    return "".join(x if isinstance(x, str) else (x.alt or x.source) if isinstance(x, s.Math) else x.text for x in spans)
+    return "".join(x if isinstance(x, str) else x.words if isinstance(x, s.Math) else x.text for x in spans)
 
 
 def _words(spans: list[dict[str, str]]) -> str:

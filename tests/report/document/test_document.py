@@ -85,3 +85,17 @@ def test_severity_orders_unstable_before_missed_before_close():
 
 def test_an_infinite_distance_is_the_least_severe_of_its_status():
     assert check(Status.PASS, INF).severity < check(Status.PASS, 1e9).severity
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("hat(g)", "g^"),
+        ('(b + k_"damp")(1 + k_"fp") slash m', "(b + k_damp)(1 + k_fp) / m"),
+        ("M_(j j)", "M_jj"),
+        ("K_p dot(q) + dot.double(q)", "K_p q' + q''"),
+        ("omega_n", "omega_n"),
+    ],
+)
+def test_mathematics_in_a_text_without_markup_has_none(source: str, said: str) -> None:
+    assert Math(source).words == said and Math(source, "spoken").words == "spoken"

@@ -10,9 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import lambertw
 
-from mfc_analysis.report.document.document import Paragraph
+import mfc_analysis as mfc
+from mfc_analysis.report.document.document import Number, Paragraph
 from mfc_analysis.report.loops import blocks
-from tests.report.loops.views import H, falling, links, mass, open_loop, triple, unstable, velocity
+from mfc_analysis.report.loops.step_runs import step_run
+from tests.report.loops.views import H, L, T, falling, links, mass, open_loop, triple, unstable, velocity, view
 
 
 def values(found: blocks.KeyFacts) -> list[float]:
@@ -102,3 +104,18 @@ def test_the_stick_figure_has_the_tool_where_the_angles_put_it() -> None:
 @pytest.mark.parametrize(("unit", "velocity", "said"), [("rad", False, "Nm"), ("m", False, "N"), ("rad", True, "rad/s"), ("m", True, "m/s")])
 def test_what_drives_a_joint_has_the_unit_of_the_joint(unit: str, velocity: bool, said: str) -> None:
     assert blocks.drive_unit(unit, velocity) == said
+
+
+@pytest.mark.parametrize(("part", "drawn"), [(2.0, True), (100.0, False)])
+def test_a_torque_limit_is_in_the_step_figure_and_drawn_where_the_torque_comes_near_it(part: float, drawn: bool) -> None:
+    free = step_run(mass())
+    assert free is not None
+    figure = blocks.step_figure(mass(), free)
+    assert figure.draw.keywords["torque_limit"] is None and "limit" not in str(figure.caption)
+    limit = part * float(np.abs(free.drive).max())
+    found = view(mfc.ClosedLoop(mfc.robots.slider(), L.JointPID(25.0, kd=6.0), T.Hold([0.0]), hardware=H(torque_limit=limit)))
+    run = step_run(found)
+    assert run is not None
+    figure = blocks.step_figure(found, run)
+    assert figure.draw.keywords["torque_limit"] == (limit if drawn else None)
+    assert str(figure.caption).endswith(f"; limit {Number(limit, 'N')}{' (dotted)' if drawn else ', not reached'}.")

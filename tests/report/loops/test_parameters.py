@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 
 import numpy as np
+import pytest
 
 import mfc_analysis as mfc
 from mfc_analysis.report.document.document import Table
@@ -29,6 +30,16 @@ def test_every_piece_of_hardware_is_told_with_its_number() -> None:
     for value in given.values():
         assert f"{value:g}" in said and f"{value:g}" not in ideal
     assert all(f"{value:g} N" in cells(pushing()) for value in (1000.0, PUSH[2]))
+
+
+@pytest.mark.parametrize(
+    ("robot", "unit", "other"),
+    [(joint(), "31 Nm", "N of"), (mfc.robots.slider(), "31 N", "Nm"), (mfc.robots.rp(), "31 Nm (N of sliding joints)", "kg)")],
+)
+def test_hardware_of_sliding_joints_has_the_units_of_forces(robot: mfc.Robot, unit: str, other: str) -> None:
+    law, hardware = L.JointPID(50.0, kd=10.0), H(torque_limit=31.0, joint_stiffness=1900.0, motor_inertia=0.3)
+    said = cells(view(mfc.ClosedLoop(robot, law, T.Hold(np.full(robot.n, 0.3)), hardware=hardware)))
+    assert unit in said and other not in said and ("1900 N/m" in said) == (robot.name == "slider")
 
 
 def test_the_model_is_told_by_the_payload_and_inertia_that_it_lacks() -> None:
