@@ -233,7 +233,11 @@ def step_figure(view: View, run: StepRun) -> Figure:
             drive=f"{drive} [{drive_unit(unit, velocity)}]",
         ),
         f"A {said}. Below: the {'velocity' if velocity else 'torque'} of {joint}"
-        + (f"; limit {Number(limit, drive_unit(unit, velocity))}{' (dotted)' if shown else ', not reached'}." if np.isfinite(limit) else "."),
+        + (
+            f"; limit {Number(limit, drive_unit(unit, velocity), exact=True)}{' (dotted)' if shown else ', not reached'}."
+            if np.isfinite(limit)
+            else "."
+        ),
         f"Step response of {view.name}: {said}.",
     )
 

@@ -118,4 +118,4 @@ def test_a_torque_limit_is_in_the_step_figure_and_drawn_where_the_torque_comes_n
     assert run is not None
     figure = blocks.step_figure(found, run)
     assert figure.draw.keywords["torque_limit"] == (limit if drawn else None)
-    assert str(figure.caption).endswith(f"; limit {Number(limit, 'N')}{' (dotted)' if drawn else ', not reached'}.")
+    assert str(figure.caption).endswith(f"; limit {Number(limit, 'N', exact=True)}{' (dotted)' if drawn else ', not reached'}.")
