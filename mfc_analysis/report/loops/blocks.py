@@ -212,7 +212,7 @@ def step_figure(view: View, run: StepRun) -> Figure:
     if not velocity and equations.joints.torque_limit is not None:
         limits = np.minimum(limits, equations.joints.torque_limit)
     limit = float(limits[run.joint])
-    shown = np.isfinite(limit) and np.abs(run.drive).max(initial=0.0) > WORTH * limit  # a far limit would flatten the curve
+    shown = np.isfinite(limit) and np.abs(run.whole).max(initial=0.0) > WORTH * limit  # a far limit would flatten the curve
     joint = view.loop.robot.joint_names[run.joint]
     quantity = f"{'F' if run.channel.startswith('F_') else 'X' if run.channel.startswith('X_') else 'q'} [{run.unit}]"
     drive = "u" if velocity else "τ"
@@ -224,7 +224,7 @@ def step_figure(view: View, run: StepRun) -> Figure:
             run.t,
             run.predicted,
             nonlinear=(run.t[: run.nonlinear.size], run.nonlinear),
-            torque=(run.t[: run.drive.size], run.drive),
+            torque=(run.t[: run.whole.size], run.whole),
             torque_limit=limit if shown else None,
             target=run.size if run.linear.outcome.name == "SETTLES" else None,
             band=0.02 * run.size if run.linear.outcome.name == "SETTLES" else None,

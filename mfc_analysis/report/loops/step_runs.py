@@ -83,6 +83,7 @@ class StepRun:
     predicted: Array  #: (k,) the linear response to the step of this size
     nonlinear: Array  #: (k,) the nonlinear response; shorter than t if it diverged
     drive: Array  #: (k,) change of the torque [Nm] (velocity laws: velocity) of the joint that works hardest
+    whole: Array  #: (k,) that torque itself, what holds the arm included; its limits apply to it
     joint: int  #: that joint
     said: str  #: why the nonlinear simulation stopped early; empty otherwise
 
@@ -120,7 +121,7 @@ def step_run(view: View) -> StepRun | None:
     joint = int(np.argmax(np.abs(work).max(axis=0)))
     predicted = size * np.interp(t, linear.t, linear.y)
     said = next((r.message for r in runs if r.diverged), "")
-    return StepRun(linear, size, unit, channel, t, predicted, moved, work[:, joint], joint, said)
+    return StepRun(linear, size, unit, channel, t, predicted, moved, work[:, joint], np.asarray(runs[1].tau[:k, joint]), joint, said)
 
 
 def _duration(view: View, linear: Step) -> float:

@@ -14,7 +14,7 @@ import mfc_analysis as mfc
 from mfc_analysis.report.document.document import Number, Paragraph
 from mfc_analysis.report.loops import blocks
 from mfc_analysis.report.loops.step_runs import step_run
-from tests.report.loops.views import H, L, T, falling, links, mass, open_loop, triple, unstable, velocity, view
+from tests.report.loops.views import MGR, H, L, T, falling, links, mass, open_loop, triple, unstable, velocity, view
 
 
 def values(found: blocks.KeyFacts) -> list[float]:
@@ -119,3 +119,12 @@ def test_a_torque_limit_is_in_the_step_figure_and_drawn_where_the_torque_comes_n
     figure = blocks.step_figure(found, run)
     assert figure.draw.keywords["torque_limit"] == (limit if drawn else None)
     assert str(figure.caption).endswith(f"; limit {Number(limit, 'N', exact=True)}{' (dotted)' if drawn else ', not reached'}.")
+
+
+def test_the_torque_of_a_step_is_drawn_whole_with_what_holds_the_arm() -> None:
+    """The joint of eq. 9.6 at 1 rad under 9.10: before and long after a step to 1.05 rad the motor holds m g r cos(q)."""
+    found = view(mfc.ClosedLoop(mfc.robots.single_joint(), L.ComputedTorque(100.0, kd=20.0), T.Hold([1.0])))
+    run = step_run(found)
+    assert run is not None and abs(run.drive[-1]) < 0.1
+    drawn = blocks.step_figure(found, run).draw.keywords["torque"][1]
+    assert drawn[-1] == pytest.approx(MGR * np.cos(1.05), rel=1e-2)
