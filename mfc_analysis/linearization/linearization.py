@@ -355,22 +355,14 @@ class Linearization:
         t = self.times
         when = f"t = {t[0]:g} s" if len(t) == 1 else f"{len(t)} times from {t[0]:g} to {t[-1]:g} s"
         kind = f"discrete, dt = {self.dt:g} s" if self.dt else "continuous"
+        late = " and ".join(f"{T:g} s{of}" for T, of in ((self.delay, ""), (self.force_delay, " of the force sensor")) if T)
         return (
             f"{self.equations.law} on {self.equations.robot.name}, linearised at {when} "
             f"({kind}; coordinates {self.coordinates!r})\n"
             f"stable at {int(stable.sum())} of {len(stable)} times; slow roots {int(self.slow.max(initial=0))}; "
             f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {np.abs(self.residual).max(initial=0.0):.3g}"
-            + (
-                f"\ndead time {self._dead_time}: A, poles, system and loop are without dead time; verdict, margins and delay_roots include it"
-                if self._late
-                else ""
-            )
+            + (f"\ndead time {late}: A, poles, system and loop are without dead time; verdict, margins and delay_roots include it" if late else "")
         )
-
-    @property
-    def _dead_time(self) -> str:
-        said = ((self.delay, "s"), (self.force_delay, "s of the force sensor"))
-        return " and ".join(f"{late:g} {word}" for late, word in said if late)
 
     __repr__ = __str__
 
