@@ -167,7 +167,7 @@ class Linearization:
     # --- poles ---------------------------------------------------------------------------------------------------
 
     def poles(self, n_jobs: int | None = None) -> Complex:
-        """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; dead time left out (``delay_roots``). ``n_jobs`` as ``margins``."""
+        """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; without dead time. ``n_jobs`` as ``margins``."""
         if self._many:
             return np.concatenate(each(methodcaller("poles"), self._parts(), checked_jobs(n_jobs)))
         return poles(self.reduced)
