@@ -17,7 +17,8 @@ from mfc_analysis.dynamics.jacobians import Coordinates
 from mfc_analysis.dynamics.operating_point import Nominal, nominal
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import Law
-from mfc_analysis.linearization.linearization import About, Linearization, linearize
+from mfc_analysis.linearization.linearization import Linearization, linearize
+from mfc_analysis.linearization.start import About
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value

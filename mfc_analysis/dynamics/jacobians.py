@@ -179,6 +179,17 @@ def open_system(
     )
 
 
+def without_wires(equations: Equations, times: Array, A: Array) -> OpenSystem:
+    """A closed A (m, nx, nx) alone, as a system without wires: sufficient for poles and stability without dead time."""
+    m, nx = A.shape[:2]
+    empty = np.zeros
+    return OpenSystem(
+        times=times, A=A, B=empty((m, nx, 0)), C=empty((m, 0, nx)), D=empty((m, 0, 0)), state_names=equations.state_names, input_names=(),
+        output_names=(), wires={}, wire_names=(), wire_delay=empty(0), points=(), integrals=equations.integrals,
+        plant_states=equations.plant_states, law=type(equations.law).__name__,
+    )  # fmt: skip
+
+
 def _finite(A: Array) -> Array:
     """A, unchanged. Raises BadArgument where it overflows."""
     if not np.isfinite(A).all():

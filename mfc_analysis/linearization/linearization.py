@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter, methodcaller
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,14 +15,14 @@ from mfc_analysis.analysis.spectrum import Pole, pole_table, poles, root_rows
 from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, close_wires
 from mfc_analysis.dynamics.equations import Equations
-from mfc_analysis.dynamics.jacobians import Coordinates, External, closed_matrix, closed_system, external, open_system
-from mfc_analysis.dynamics.operating_point import CHUNK, OperatingPoint, chunks, nominal, on_reference, residual
-from mfc_analysis.errors import BadArgument, MfcWarning, UnknownName, UnknownPoint, Unsupported
+from mfc_analysis.dynamics.jacobians import Coordinates, External, closed_matrix, closed_system, external, open_system, without_wires
+from mfc_analysis.dynamics.operating_point import CHUNK, OperatingPoint, chunks, nominal, residual
+from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint, Unsupported
 from mfc_analysis.linearization.chunks import checked_jobs, each, joined
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
+from mfc_analysis.linearization.start import About, chosen_coordinates, operating_points
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
-from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION, nearest_singular
 from mfc_analysis.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -33,8 +32,6 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.steps import Step
 
 MANY_SAMPLES = 60  #: samples in transit above which the verdict counts roots instead of computing all of them
-
-About = Literal["reference", "equilibrium", "simulation"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +172,11 @@ class Linearization:
     @cached_property
     def reduced(self) -> OpenSystem:
         """The loop without inputs, outputs and wires where those do not matter for its poles."""
-        return self.opened if self.dt else _only_a(self)
+        if self.dt:
+            return self.opened
+        unknown = {"opened", "_closed"}.isdisjoint(self.__dict__)
+        A = closed_matrix(self.equations, self.times, self.point.x, self.coordinates) if unknown else self.A
+        return replace(without_wires(self.equations, self.times, A), horizon=self.horizon)
 
     @cached_property
     def stability(self) -> Stability:
@@ -313,7 +314,11 @@ class Linearization:
 
     def transient_growth(self) -> TransientGrowth:
         """Largest singular value of the transition matrix Phi(t, 0) along the path (linear time-varying)."""
-        return _transient_growth(self)
+        from mfc_analysis.linearization.growth import transient_growth
+
+        if self._late:
+            raise Unsupported("hardware.delay", self.delay or self.force_delay, "a sample_time with it: without one Phi has infinite dimension")
+        return transient_growth(self.times, self.dt, lambda times: self.again(times).A)
 
     # --- many points ---------------------------------------------------------------------------------------------
 
@@ -390,86 +395,6 @@ def linearize(
 
     Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
     """
-    checks.choice("about", about, ("reference", "equilibrium", "simulation"))
     horizon = checked_horizon(horizon, equations.sample_time)
-    point = _points(equations, times, about, run)
-    sigma = _singular_values(equations, point)
-    return Linearization(equations, point, _coordinates(equations, coordinates, sigma), about, run, horizon)
-
-
-def _points(equations: Equations, times: Array, about: About, run: Simulation | None) -> OperatingPoint:
-    if about == "reference":
-        return on_reference(equations, times)
-    if about == "equilibrium":
-        from mfc_analysis.simulation.rest import at_rest
-
-        return OperatingPoint(times, np.repeat(at_rest(equations).x, len(times), axis=0), np.zeros((len(times), equations.n)))
-    if run is None or getattr(run, "state_names", None) != equations.state_names:
-        raise BadArgument("simulation", run, 'a Simulation of this loop to linearise along, with about="simulation"')
-    return run.operating_point(times)
-
-
-def _singular_values(equations: Equations, point: OperatingPoint) -> Array:
-    """(m, k) of the Jacobian of a tool law; of one without damping that is nearly singular somewhere, warns or raises with the time."""
-    if equations.law.space != "tool":
-        return np.ones((len(point.times), 1))
-    n, plant = equations.n, equations.plant
-    sigma = np.concatenate([plant.at(np.ascontiguousarray(some.x[:, :n])).sigma for some in chunks(point)])
-    if not equations.law.damping:
-        found = nearest_singular(equations.robot.tool, sigma)
-        found = found.at(float(point.times[found.index]))
-        if found.condition > REFUSE_CONDITION:
-            raise found
-        if found.condition > WARN_CONDITION:
-            warnings.warn(str(found), MfcWarning, stacklevel=4)
-    return sigma
-
-
-def _coordinates(equations: Equations, asked: Coordinates | None, sigma: Array) -> Coordinates:
-    tool, square = equations.law.space == "tool", equations.n == 6
-    if asked is None:
-        return "error" if tool and square and np.all(sigma[:, 0] < WARN_CONDITION * sigma[:, -1]) else "state"
-    checks.choice("coordinates", asked, ("state", "error"))
-    if asked == "error" and tool and not square:
-        takes = f"a square Jacobian: {equations.robot.name} has {equations.n} joints, so the error does not determine the state"
-        raise Unsupported("coordinates", "error", takes)
-    return asked
-
-
-def _only_a(lin: Linearization) -> OpenSystem:
-    """The closed A alone, as a system without wires: sufficient for poles and stability without dead time."""
-    unknown = {"opened", "_closed"}.isdisjoint(lin.__dict__)
-    A = closed_matrix(lin.equations, lin.times, lin.point.x, lin.coordinates) if unknown else lin.A
-    m, nx = A.shape[0], A.shape[1]
-    names = lin.equations.state_names
-    empty = np.zeros
-    return OpenSystem(
-        times=lin.times, A=A, B=empty((m, nx, 0)), C=empty((m, 0, nx)), D=empty((m, 0, 0)), state_names=names, input_names=(), output_names=(),
-        wires={}, wire_names=(), wire_delay=np.zeros(0), points=(), integrals=lin.equations.integrals, plant_states=lin.equations.plant_states,
-        law=type(lin.equations.law).__name__, dt=0.0, horizon=lin.horizon,
-    )  # fmt: skip
-
-
-def _transient_growth(lin: Linearization) -> TransientGrowth:
-    """Largest singular value of Phi(t, t_0) over the times of a linearisation, in its coordinates.
-
-    The path is also linearised between the times (two Gauss nodes per step, steps no longer than the shortest given interval).
-    Raises BadArgument for fewer than two times.
-    """
-    from mfc_analysis.analysis.floquet import STEPS, accumulated, gauss_nodes, transient_growth as growth_of, transition_magnus
-
-    times = lin.times
-    if len(times) < 2:
-        raise BadArgument("times", times, "a linearisation at two or more times: growth is along a path")
-    if lin.delay or lin.force_delay:
-        takes = "a sample_time with it: transition matrices of a continuous loop with dead time have infinite dimension"
-        raise Unsupported("hardware.delay", lin.delay or lin.force_delay, takes)
-    if lin.dt:
-        count = max(int(np.floor((times[-1] - times[0]) / lin.dt + 1e-9)), 1)
-        at = times[0] + lin.dt * np.arange(count)
-        return growth_of(accumulated(lin.again(at).A), times[0] + lin.dt * np.arange(count + 1))
-    count = max(STEPS, min(int(np.ceil((times[-1] - times[0]) / np.diff(times).min() - 1e-9)), 4000))
-    edges = np.linspace(times[0], times[-1], count + 1)
-    nodes = gauss_nodes(edges)
-    A = lin.again(np.ravel(nodes)).A
-    return growth_of(accumulated(transition_magnus(A.reshape(*nodes.shape, *A.shape[1:]), np.diff(edges))), edges)
+    point = operating_points(equations, times, about, run)
+    return Linearization(equations, point, chosen_coordinates(equations, coordinates, point), about, run, horizon)

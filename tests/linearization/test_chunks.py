@@ -75,14 +75,6 @@ def test_operating_points_come_in_chunks_in_their_order():
     assert joined(parts, times=np.zeros(1)).times.size == 1
 
 
-def test_a_tool_law_over_many_points_names_the_time_nearest_to_singular():
-    times = np.linspace(0, 1, 2 * CHUNK)
-    path = mfc.trajectories.Quintic(Q0, [0.3, -1.2, 1.5, -0.8, 0.0, 0.2], 1.0)
-    loop = mfc.ClosedLoop(mfc.robots.ur5(), mfc.laws.TaskComputedTorque(100, 20), path)
-    with pytest.raises(mfc.errors.NearSingular, match=r"t = 1 s"):
-        loop.linearize(times)
-
-
 @pytest.mark.parametrize("wrong", [0, 1.5, "two", True])
 def test_a_number_of_processes_is_a_whole_number_but_zero(wrong):
     with pytest.raises(BadArgument, match="n_jobs"):

@@ -40,7 +40,7 @@ def angles(poles: Complex, radius: float) -> Array:
     """(m, k) increasing angles in [0, pi/2] that resolve the poles (m, nx) [1/s] near the arc; some are repeated."""
     fixed = np.concatenate([FIRST, np.linspace(0, np.pi / 2, EVEN)[1:]])
     even = np.broadcast_to(fixed, (len(poles), len(fixed)))
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ratio = np.abs(poles) / radius
         near = (ratio < NEAR) & (ratio > 1 / NEAR)
         around = np.abs(np.angle(poles))[..., None] + (np.abs(ratio - 1) + 1e-6)[..., None] * AROUND
@@ -70,7 +70,7 @@ def arc_delays(theta: Array, H: Complex, at: Place, evaluate: Evaluate, limit: A
     """
     place = np.broadcast_to(at(theta)[:, None], H.shape)
     delay = _delay(H, place)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         may = (delay > -BELOW / place.real) & (delay < limit[..., None])
     point, channel, x, found = _zeros(theta, H, at, evaluate, _missed, may[..., :-1] | may[..., 1:], PARTS)
     there, s = Crossings(point, channel, at(x).imag, found), at(x)
@@ -82,7 +82,7 @@ def arc_delays(theta: Array, H: Complex, at: Place, evaluate: Evaluate, limit: A
 
 def _delay(H: Complex, s: Complex) -> Array:
     """[s] dead time with which abs(L e^(-s tau)) is 1."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return np.asarray(np.log(np.abs(H / (1 + H))) / s.real)
 
 
@@ -109,7 +109,8 @@ def _zeros(
         a, b, at_a, at_b = x[:, :-1].ravel(), x[:, 1:].ravel(), inner[:, :-1].ravel(), inner[:, 1:].ravel()
     fa, fb = function(at_a, at(a)), function(at_b, at(b))
     change = (fa >= 0) != (fb >= 0)
-    point, channel, a, b, fa, fb, found = (each[change] for each in (point, channel, a, b, fa, fb, at_b))
+    point, channel, found = np.asarray(point[change], np.int64), np.asarray(channel[change], np.int64), at_b[change]
+    a, b, fa, fb = (each[change] for each in (a, b, fa, fb))
     x = b.copy()
     for _ in range(50):
         with np.errstate(divide="ignore", invalid="ignore"):
