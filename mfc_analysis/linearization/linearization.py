@@ -17,7 +17,7 @@ from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, c
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import Coordinates, External, closed_matrix, closed_system, external, open_system, without_wires
 from mfc_analysis.dynamics.operating_point import CHUNK, OperatingPoint, chunks, nominal, residual
-from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint, Unsupported
+from mfc_analysis.errors import BadArgument, UnknownPoint, Unsupported
 from mfc_analysis.linearization.chunks import checked_jobs, each, joined
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
 from mfc_analysis.linearization.start import About, chosen_coordinates, operating_points
@@ -225,46 +225,36 @@ class Linearization:
 
     # --- python-control ------------------------------------------------------------------------------------------
 
-    def system(self, index: int = 0) -> Any:
-        """The closed loop at one time as a ``control.StateSpace`` with named signals; dead time left out, as its ``name`` says."""
-        import control
+    def system(self, index: int = 0, pade: int | None = None) -> Any:
+        """The closed loop at one time as a ``control.StateSpace`` with named signals.
 
-        i = self._index(index)
-        A, B, C, D = (M[i] for M in self._closed)
-        return control.ss(
-            A, B, C, D, self.dt, name=self._exported("closed_loop"),
-            states=list(self.state_names), inputs=list(self.input_names), outputs=list(self.output_names),
-        )  # fmt: skip
-
-    def loop(self, index: int = 0, at: str | None = None, channel: int | str | None = None) -> Any:
-        """L(s) at one time, opened at ``at`` in one channel (default: the first), the others closed; negative feedback; dead time left out.
-
-        Returns a ``control.StateSpace`` with one input and output; its ``name`` says so where dead time is left out.
-        Raises UnknownPoint, and UnknownName for an unknown channel.
+        ``pade``: order (1 to 15) of the Pade approximation of its dead time; None: dead time left out, as its ``name`` says.
         """
-        import control
+        from mfc_analysis.linearization.exported import closed_model
 
-        from mfc_analysis.analysis.channels import channels
+        return closed_model(self._alone(self.opened, index, pade))
+
+    def loop(self, index: int = 0, at: str | None = None, channel: int | str | None = None, pade: int | None = None) -> Any:
+        """L(s) at one time, opened at ``at`` in one channel (default: the first), the others closed; negative feedback. ``pade`` as ``system``.
+
+        Returns a ``control.StateSpace`` with one input and output. Raises UnknownPoint, and UnknownName for an unknown channel.
+        """
+        from mfc_analysis.linearization.exported import loop_model
 
         at = self._at(at)
-        found = channels(self.opened_for(at).at(slice(self._index(index), self._index(index) + 1)), at)
-        names = tuple(found.names)
-        j = self._channel(channel, names)
-        A, b, c = found.A[0], found.B[0][:, j], found.C[0][j]
-        through = 1.0 + float(found.H0[0, j])  # S = through + c (sI - A)^-1 b, and L = 1/S - 1
-        return control.ss(
-            A - np.outer(b, c) / through, b[:, None] / through, -c[None, :] / through, [[1 / through - 1]], self.dt,
-            inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"], name=self._exported(f"L_{at}_{names[j]}"),
-        )  # fmt: skip
+        return loop_model(self._alone(self.opened_for(at), index, pade, at), at, channel)
+
+    def _alone(self, system: OpenSystem, index: int, pade: int | None, at: str | None = None) -> OpenSystem:
+        from mfc_analysis.analysis.pade import with_pade
+
+        i = self._index(index)
+        one = system.at(slice(i, i + 1))
+        return one if pade is None else with_pade(one, pade, at)
 
     @property
     def _late(self) -> bool:
         """Whether the matrices leave out dead time."""
         return bool(self.delay or self.force_delay)
-
-    def _exported(self, name: str) -> str:
-        """Name of a system handed to python-control, which allows no full stop in it."""
-        return f"{name}{'_without_dead_time' if self._late else ''}".replace(".", "_")
 
     # --- margins and responses -----------------------------------------------------------------------------------
 
@@ -341,16 +331,6 @@ class Linearization:
     def _index(self, index: int) -> int:
         m = len(self.times)
         return checks.whole("index", index, -m, m - 1, f"an integer from 0 to {m - 1}: which of the {m} times") % m
-
-    @staticmethod
-    def _channel(channel: int | str | None, names: tuple[str, ...]) -> int:
-        if channel is None:
-            return 0
-        if isinstance(channel, str):
-            if channel not in names:
-                raise UnknownName("channel", channel, names)
-            return names.index(channel)
-        return checks.whole("channel", channel, 0, len(names) - 1, f"an integer from 0 to {len(names) - 1} or one of {', '.join(names)}")
 
     def __len__(self) -> int:
         return len(self.times)

@@ -1,0 +1,53 @@
+"""One operating point as models of python-control, which take no dead time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mfc_analysis.analysis.channels import channels
+from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.errors import UnknownName
+from mfc_analysis.maths import checks
+
+
+def closed_model(system: OpenSystem) -> Any:
+    """The closed loop of a system with one point as a ``control.StateSpace`` with named signals, without the dead time of its wires."""
+    import control
+
+    A, B, C, D = (M[0] for M in close_wires(system))
+    return control.ss(
+        A, B, C, D, system.dt, name=_named("closed_loop", system),
+        states=list(system.state_names), inputs=list(system.input_names), outputs=list(system.output_names),
+    )  # fmt: skip
+
+
+def loop_model(system: OpenSystem, at: str, channel: int | str | None) -> Any:
+    """L(s) opened at ``at`` in one channel (default: the first), the others closed, as a ``control.StateSpace``. Raises UnknownName."""
+    import control
+
+    found = channels(system, at)
+    names = tuple(found.names)
+    j = _number(channel, names)
+    A, b, c = found.A[0], found.B[0][:, j], found.C[0][j]
+    through = 1.0 + float(found.H0[0, j])  # S = through + c (sI - A)^-1 b, and L = 1/S - 1
+    return control.ss(
+        A - np.outer(b, c) / through, b[:, None] / through, -c[None, :] / through, [[1 / through - 1]], system.dt,
+        inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"], name=_named(f"L_{at}_{names[j]}", system),
+    )  # fmt: skip
+
+
+def _named(name: str, system: OpenSystem) -> str:
+    """With what the model leaves out; python-control allows no full stop."""
+    return f"{name}{'_without_dead_time' if system.delayed else ''}".replace(".", "_")
+
+
+def _number(channel: int | str | None, names: tuple[str, ...]) -> int:
+    if channel is None:
+        return 0
+    if isinstance(channel, str):
+        if channel not in names:
+            raise UnknownName("channel", channel, names)
+        return names.index(channel)
+    return checks.whole("channel", channel, 0, len(names) - 1, f"an integer from 0 to {len(names) - 1} or one of {', '.join(names)}")

@@ -1,0 +1,52 @@
+"""Models handed to python-control: what they contain, and what their names say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import mfc_analysis as mfc
+from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.errors import UnknownName
+from mfc_analysis.linearization.exported import closed_model, loop_model
+from mfc_analysis.linearization.linearization import Linearization
+
+W = np.array([0.5, 3.0, 20.0, 60.0])
+
+
+def late() -> Linearization:
+    arm = mfc.robots.ur5()
+    hold = mfc.trajectories.Hold([0.3, -1.2, 1.5, -0.8, -1.4, 0.2])
+    law, hardware = mfc.laws.ComputedTorque(kp=100, kd=20), mfc.Hardware(delay=0.004, torque_lag=0.002)
+    return mfc.ClosedLoop(arm.with_payload(2.0), law, hold, controller_model=arm, hardware=hardware).linearize([0.0, 1.0])
+
+
+@pytest.mark.parametrize("at", ["torque", "command", "position"])
+def test_with_pade_the_loop_has_the_response_of_the_loop_with_dead_time(at: str) -> None:
+    lin = late()
+    exact = lin.frequency_response(W, at)[1]
+    for j, channel in enumerate(lin.margins(at).channels):
+        model = lin.loop(1, at, channel, pade=8)
+        assert_allclose(model(1j * W), exact[j], rtol=1e-7)
+        assert not np.allclose(lin.loop(1, at, channel)(1j * W), exact[j], rtol=1e-2)
+        assert model.name == f"L_{at}_{channel}" and lin.loop(1, at, channel).name == f"L_{at}_{channel}_without_dead_time"
+
+
+def test_with_pade_the_closed_loop_has_the_exact_rightmost_roots() -> None:
+    lin = late()
+    poles = lin.system(0, pade=10).poles()
+    for root in lin.delay_roots(6)[0]:
+        assert np.abs(poles - root).min() < 1e-5 * abs(root)
+    assert lin.system(0, pade=10).name == "closed_loop" and lin.system(0).name == "closed_loop_without_dead_time"
+
+
+def test_models_are_the_matrices_of_their_point() -> None:
+    lin = late()
+    one = lin.opened.at(slice(1, 2))
+    model = closed_model(one)
+    for found, expected in zip((model.A, model.B, model.C, model.D), close_wires(one), strict=True):
+        assert_allclose(found, expected[0], atol=1e-12)
+    assert model.input_labels == list(lin.input_names) and model.output_labels == list(lin.output_names)
+    with pytest.raises(UnknownName, match="channel"):
+        loop_model(one, "torque", "elbow")
