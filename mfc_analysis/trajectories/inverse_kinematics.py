@@ -11,6 +11,7 @@ import warnings
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 TOLERANCE = 1e-13  #: pose error [m and rad] at which Newton stops
 ROUNDING = 1e-10  #: pose error below which a step without improvement means rounding error
+MOST_FOLLOWED = 8  #: joint motions kept of one tool path
 ITERATIONS = 100  #: Newton iterations at one time
 STEP = 0.08  #: largest joint step [rad or m] between two nodes of a followed path
 JUMP = 1.0  #: joint step [rad or m] above which the solution belongs to another branch
@@ -118,7 +120,9 @@ def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, ti
 
 
 def follow(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike, damping: float = 0.0) -> _Node:
-    """Joint motion (q, v, a), (m, n) each, that moves the tool along ``tool_ref``, exact at these ``times``.
+    """Joint motion (q, v, a), (m, n) each, read-only, that moves the tool along ``tool_ref``, exact at these ``times``.
+
+    That of the same path, arm (whatever its loads), start and times is computed once.
 
     Args:
         q_start: (n,) [rad or m] near the solution at t = 0, or at ``times[0]`` if that is earlier; followed from there.
@@ -127,18 +131,38 @@ def follow(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: Arr
 
     Raises and warns as ``from_tool_path``, except for joint limits.
     """
-    t = checks.times(times)
+    t, start = checks.times(times), _start(robot, q_start)
     follower = _Follower(robot, _tool(tool_ref), checks.number("damping", damping, low=0.0))
-    first = np.array([min(0.0, float(t[0]))])
-    if tool_ref.is_hold:
-        q = np.repeat(follower.project(_start(robot, q_start)[None], first), t.size, axis=0)
-        return _Node(q, np.zeros_like(q), np.zeros_like(q))
-    end = float(t[-1])
-    known, nodes = follower.walk(_start(robot, q_start), np.append(first, end) if end > first[0] else first, COARSE)
-    guess = nodes.q if known.size == 1 else Piecewise.hermite(known, *nodes).at(t)[0]
-    found = follower.node(follower.project(guess, t), t)
+    known = _FOLLOWED.setdefault(tool_ref, {}) if _is_fixed(tool_ref) else {}
+    key = b"|".join([_kinematics(robot), start.tobytes(), t.tobytes(), repr(damping).encode()])
+    if key not in known:
+        if len(known) >= MOST_FOLLOWED:
+            del known[next(iter(known))]
+        found = follower.along(start, t)
+        for array in found:
+            array.flags.writeable = False
+        known[key] = found, follower.worst
+    found, follower.worst = known[key]
     follower.report()
     return found
+
+
+_FOLLOWED: WeakKeyDictionary[ToolReference, dict[bytes, tuple[_Node, tuple[float, float, float]]]] = WeakKeyDictionary()
+
+
+def _is_fixed(ref: ToolReference) -> bool:
+    """Whether its motion cannot change: one of this library's frozen classes."""
+    return type(ref).__module__ == ToolReference.__module__
+
+
+def _kinematics(robot: Robot) -> bytes:
+    """All that inverse kinematics depends on; payloads, armature and friction do not."""
+    model = robot.model
+    frame = model.frames[robot.frame_id]
+    parts = [model.jointPlacements[i].homogeneous.tobytes() + model.joints[i].shortname().encode() for i in range(1, model.njoints)]
+    axes = repr([str(model.joints[i]) for i in range(1, model.njoints)]).encode()
+    tree = repr((list(model.parents), int(frame.parentJoint), robot.order.tolist(), robot.tool)).encode()
+    return b"".join([*parts, axes, tree, frame.placement.homogeneous.tobytes()])
 
 
 def solve_pose(robot: Robot, X: Any, q_start: ArrayLike) -> Array:
@@ -157,6 +181,17 @@ class _Follower:
     ref: ToolReference
     damping: float = 0.0
     worst: tuple[float, float, float] = (0.0, 0.0, 0.0)  # condition number, smallest singular value, time
+
+    def along(self, q_start: Array, t: Array) -> _Node:
+        """Exact at times t (m,), followed from ``q_start`` at 0 or at t[0] if that is earlier."""
+        first = np.array([min(0.0, float(t[0]))])
+        if self.ref.is_hold:
+            q = np.repeat(self.project(q_start[None], first), t.size, axis=0)
+            return _Node(q, np.zeros_like(q), np.zeros_like(q))
+        end = float(t[-1])
+        known, nodes = self.walk(q_start, np.append(first, end) if end > first[0] else first, COARSE)
+        guess = nodes.q if known.size == 1 else Piecewise.hermite(known, *nodes).at(t)[0]
+        return self.node(self.project(guess, t), t)
 
     def walk(self, q_start: Array, times: Array, slices: int) -> tuple[Array, _Node]:
         """Nodes at ``times`` and between them, each from the previous one."""

@@ -10,6 +10,9 @@ from mfc_analysis import errors, robots
 from mfc_analysis.maths.se3 import exp6, inverse, log6, transform
 from mfc_analysis.trajectories import Hold, ToolCircle, ToolHold, ToolLine, ToolSinusoid, follow, from_tool_path, solve_pose
 
+PLANAR = """<robot name="one"><link name="base"/><link name="arm"><inertial><mass value="1"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link><link name="tip"/><joint name="turn" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>
+<joint name="end" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="{length} 0 0"/></joint></robot>"""
 START = {
     "ur5": [0, -0.9, 1.6, -0.7, 1.57, 0.3],
     "panda": [0, -0.4, 0.1, -2.2, 0, 2, 0.7],
@@ -135,8 +138,10 @@ def test_a_singular_pose_is_refused_with_time_frame_and_singular_value_unless_da
 def test_a_nearly_singular_path_warns():
     robot = robots.ur5()
     q = np.array([0, -0.9, 1.6, -0.7, 1e-5, 0.3])
-    with pytest.warns(errors.MfcWarning, match="close to singular at t = "):
-        follow(robot, ToolSinusoid(robot.pose(q), [0, 0, 1e-9], 1.0), q, [0.0, 0.1])
+    path = ToolSinusoid(robot.pose(q), [0, 0, 1e-9], 1.0)
+    for _ in range(2):  # also where its motion is known already
+        with pytest.warns(errors.MfcWarning, match="close to singular at t = "):
+            follow(robot, path, q, [0.0, 0.1])
 
 
 def test_fewer_joints_follow_what_they_can_and_say_when_they_cannot():
@@ -185,3 +190,29 @@ def test_bad_arguments_are_refused_by_name(ref, q_start, times, names):
     with pytest.raises(errors.BadArgument) as info:
         from_tool_path(robots.ur5(), ref, q_start, times)
     assert info.value.argument == names
+
+
+def test_a_path_is_followed_once_for_arms_that_differ_in_load_only():
+    robot = robots.ur5()
+    q_start = np.array([0.3, -1.2, 1.5, -0.8, -1.4, 0.2])
+    path = ToolSinusoid(robot.pose(q_start), [0.05, 0, 0.05], 2.0)
+    times = np.linspace(0, 2, 7)
+    first = follow(robot, path, q_start, times)
+    for loaded in (robot, robot.with_payload(3.0), robot.with_armature(0.1)):
+        assert follow(loaded, path, q_start, times).q is first.q
+    with pytest.raises(ValueError, match="read-only"):
+        first.q[0] = 0
+    for start, at, damping in ((q_start + 1e-3, times, 0.0), (q_start, times + 0.1, 0.0), (q_start, times, 0.1)):
+        assert follow(robot, path, start, at, damping=damping).q is not first.q
+    assert_array_equal(follow(robot, ToolSinusoid(robot.pose(q_start), [0.05, 0, 0.05], 2.0), q_start, times).q, first.q)
+    for k in range(9):  # only a few are kept
+        follow(robot, path, q_start, times + 0.01 * k)
+    assert follow(robot, path, q_start, times).q is not first.q
+
+
+def test_arms_of_other_geometry_follow_the_same_path_by_themselves():
+    short, long = (robots.Robot.from_urdf(PLANAR.format(length=x), tool="tip") for x in (1.0, 1.1))
+    path = ToolHold(short.pose([0.3]))
+    assert follow(short, path, [0.3], [0.0]).q[0] == 0.3
+    with pytest.raises(errors.NotConverged):
+        follow(long, path, [0.3], [0.0])
