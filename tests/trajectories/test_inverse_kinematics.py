@@ -10,8 +10,9 @@ from mfc_analysis import errors, robots
 from mfc_analysis.maths.se3 import exp6, inverse, log6, transform
 from mfc_analysis.trajectories import Hold, ToolCircle, ToolHold, ToolLine, ToolSinusoid, follow, from_tool_path, solve_pose
 
-PLANAR = """<robot name="one"><link name="base"/><link name="arm"><inertial><mass value="1"/>
-<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link><link name="tip"/><joint name="turn" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>
+PLANAR = """<robot name="one"><link name="base"/><link name="tip"/><link name="arm"><inertial><mass value="1"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<joint name="turn" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>
 <joint name="end" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="{length} 0 0"/></joint></robot>"""
 START = {
     "ur5": [0, -0.9, 1.6, -0.7, 1.57, 0.3],
