@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ def with_pade(system: OpenSystem, order: int, at: str | None = None) -> OpenSyst
     D = system.D.copy()
     A[:, :nx, :nx], B[:, :nx], C[:, :, :nx] = system.A, system.B, system.C
     for k, wire in enumerate(late):
-        one = control.ss(control.tf(*control.pade(float(system.wire_delay[wire]), order, order - 1 if proper else None)))
+        one: Any = control.ss(control.tf(*control.pade(float(system.wire_delay[wire]), order, order - 1 if proper else None)))
         row, own = system.ny + wire, slice(nx + k * order, nx + (k + 1) * order)
         A[:, own, own] = one.A
         A[:, own, :nx], B[:, own] = one.B * system.C[:, row, None], one.B * system.D[:, row, None]
