@@ -29,7 +29,7 @@ WITHIN = {
     "Mode",
     "Piece",
     "Point",
-    "Term",
+    "Terms",
     "Candidate",
     "Channels",
     "Crossings",
@@ -91,6 +91,7 @@ def results() -> dict[str, Any]:
         "stability": lin.stability,
         "pole": lin.pole_table(0)[0],
         "step": lin.step(0),
+        "all steps": lin.steps([0.0, 0.1], inputs=[0], outputs=[0, 7]),
         "late step": LATE.linearize().step(0),
         "transient growth": lin.transient_growth(),
         "floquet": MOVING.floquet(),
@@ -164,6 +165,7 @@ def test_what_a_result_answers_later_it_answers_after_the_trip_too(made: dict[st
     again = pickle.loads(pickle.dumps(made))
     assert str(again["linearization"].margins(at="command")) == str(made["linearization"].margins(at="command"))
     assert str(again["linearization along a run"].again(np.array([0.02]))) == str(made["linearization along a run"].again(np.array([0.02])))
+    assert np.array_equal(again["all steps"].y, made["all steps"].y)
     for name in ("run", "late run", "sampled run", "run with contact"):
         t = np.linspace(0.0, made[name].end, 7)
         assert np.array_equal(again[name].state(t), made[name].state(t)), name

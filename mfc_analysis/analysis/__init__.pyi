@@ -3,4 +3,4 @@ from .floquet import Floquet as Floquet, TransientGrowth as TransientGrowth
 from .margins import Margins as Margins, Worst as Worst
 from .spectrum import Pole as Pole
 from .stability import Stability as Stability
-from .steps import Step as Step
+from .steps import Step as Step, Steps as Steps

@@ -1,30 +1,37 @@
-"""The response y(t) = steady + Re sum_j g_j exp(T_j t) v_j of decoupled modes, in sections that follow its time scales.
+"""The responses y(t) = steady + Re sum_j f_j(t) a_j of decoupled modes, in sections that follow their time scales.
 
-A mode that has died away is left behind, and the sections grow to the fastest of those that are left; on each of them y is the quintic of
-its value, slope and curvature at both ends (error below 1e-9 of the modes' size). A sampled loop has I + dt T_j in the place of
-exp(T_j dt), and y is held from sample to sample.
+The part g exp(T t) v that a mode of k eigenvalues leaves in a response is f(t) a in Newton's form: f(t) (k,) is the first row of exp(J t),
+J with the eigenvalues on its diagonal and the mode's rate above it, the same for all responses; a (k,) are their own.
+
+A mode that has died away in all responses is left behind, and the sections grow to the fastest of those that are left; on each of them y is
+the quintic of its value, slope and curvature at both ends (error below 1e-9 of the modes' size). A sampled loop has I + dt J in the place of
+exp(J dt), and y is held from sample to sample.
+
+Source: Higham, Functions of Matrices (2008), 4.3 (Newton's divided differences of exp).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import overload
+from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import block_diag, expm
+from scipy.linalg import expm
 
 from mfc_analysis.analysis.modes import Mode
-from mfc_analysis.analysis.step_run import Piece
+from mfc_analysis.analysis.step_run import HELD, Piece
 from mfc_analysis.errors import NotConverged
-from mfc_analysis.maths.arrays import Array, Complex
+from mfc_analysis.maths.arrays import Array, Complex, Ints
 
 FRACTION = 0.125  #: length of a section times the fastest rate of the modes alive
 DEAD = 1e-13  #: of the largest: a mode below this has died away
 LONGEST = 4096  #: sections of a piece
 MOST = 2_000_000_000  #: sections of a response
+VALUES = 1 << 18  #: of all responses in a piece
 FEW = 64  #: pieces that need no bounds
+KEPT = 8  #: pieces that are kept
 GRID = np.geomspace(1e-2, 60.0, 120)  #: time constants at which the size of a defective mode is known
 #: quintic on 0..1 from y, h y', h^2 y'' at its start and at its end
 QUINTIC = np.array(
@@ -33,63 +40,134 @@ QUINTIC = np.array(
 
 
 @dataclass(frozen=True, eq=False)
-class Term:
-    """g exp(T t) v of one mode."""
+class Terms:
+    """What modes of K eigenvalues in all leave in P responses: Re f(t) a. Modes of one eigenvalue come first."""
 
-    T: Complex  #: (k, k) [1/s]
-    g: Complex  #: (k,)
-    v: Complex  #: (k,)
+    rates: Complex  #: (K,) [1/s] diagonal of J
+    above: Array  #: (K,) [1/s] J above it; 0 from one mode to the next
+    a: Complex  #: (K, P)
+    size: Array  #: (modes, P) a bound of the order of each mode's part at its start
+    blocks: tuple[slice, ...]  #: (modes,) of the K
     dt: float = 0.0  #: [s] of a sampled loop
 
-    @property
-    def fastest(self) -> float:
-        """[1/s]."""
-        return float(np.abs(np.diag(self.T)).max())
-
-    @property
-    def decay(self) -> float:
-        """[1/s] rate at which the slowest part dies away."""
-        s = np.diag(self.T)
-        with np.errstate(divide="ignore"):
-            return -float(np.log(np.abs(1 + self.dt * s).max()) / self.dt if self.dt else s.real.max())
+    def of(self, which: Ints) -> Terms:
+        """The same modes in some of the responses."""
+        return self if which.size == self.a.shape[1] else replace(self, a=self.a[:, which], size=self.size[:, which])
 
     @cached_property
-    def size(self) -> float:
-        """A bound of the order of the term at its start."""
-        return float(np.linalg.norm(self.g) * np.linalg.norm(self.v))
+    def starts(self) -> Ints:
+        """(modes,) where each begins."""
+        return np.array([block.start for block in self.blocks], int)
 
-    def over(self, time: float) -> Complex:
-        """(k, k) exp(T time); the mean rate apart, so that nothing overflows."""
+    @cached_property
+    def alone(self) -> int:
+        """Number of modes of one eigenvalue."""
+        return sum(block.stop - block.start == 1 for block in self.blocks)
+
+    @cached_property
+    def fastest(self) -> Array:
+        """(modes,) [1/s]."""
+        return np.maximum.reduceat(np.abs(self.rates), self.starts)
+
+    @cached_property
+    def decay(self) -> Array:
+        """(modes,) [1/s] rates at which their slowest parts die away."""
+        return _decay(self.rates, self.starts, self.dt)
+
+    def along(self, a: Complex) -> Complex:
+        """J a."""
+        out = self.rates[:, None] * a
+        out[:-1] += self.above[:-1, None] * a[1:]
+        return out
+
+    def over(self, mode: int, time: float) -> Complex:
+        """(k, k) exp(J time) of one mode; the mean rate apart, so that nothing overflows."""
+        at = self.blocks[mode]
+        J = np.diag(self.rates[at]) + np.diag(self.above[at][:-1], 1)
         if self.dt:
-            return np.asarray(np.linalg.matrix_power(np.eye(len(self.T)) + self.dt * self.T, round(time / self.dt)))
-        mean = np.diag(self.T).mean()
-        rest = self.T - mean * np.eye(len(self.T))
-        return np.asarray(np.exp(mean * time) * (expm(rest * time) if len(rest) > 1 else np.ones((1, 1))))
+            return np.asarray(np.linalg.matrix_power(np.eye(len(J)) + self.dt * J, round(time / self.dt)))
+        mean = self.rates[at].mean()
+        return np.asarray(np.exp(mean * time) * expm((J - mean * np.eye(len(J))) * time))
 
-    def bound(self, times: Array) -> Array:
-        """(k,) of its size from each of ``times`` [s], increasing, on."""
-        if len(self.T) == 1:
-            with np.errstate(invalid="ignore"):  # z = 0: no decay is too fast
-                return np.asarray(self.size * np.where(times > 0, np.exp(-self.decay * times), 1.0))
-        grid = np.append(0.0, max(1 / self.decay, self.dt) * GRID)
-        steps = [self.over(t) for t in grid]
-        most = 2 * max(float(np.linalg.norm(E, 2)) for E in steps)
-        sizes = np.array([np.linalg.norm(self.g @ E) for E in steps]) * np.linalg.norm(self.v) * most
-        return np.asarray(sizes[np.searchsorted(grid, times, side="right") - 1])
+    def rows(self, modes: list[int], start: float, h: float, count: int) -> Complex:
+        """(k, count): f of these modes at ``start`` and after 1, 2, ... sections of ``h``, by doubling."""
+        k = int(np.searchsorted(modes, self.alone))
+        s = self.rates[modes[:k]]
+        first = [(1 + self.dt * s) ** round(t / self.dt) if self.dt else np.exp(s * t) for t in (start, h)]
+        parts = [_doubled(first[0][:, None], first[1][:, None], count, np.multiply)]
+        parts += [_doubled(self.over(mode, start)[0, :, None], self.over(mode, h).T, count, np.matmul) for mode in modes[k:]]
+        return np.concatenate(parts)
 
-    def death(self, level: float) -> float:
-        """[s] from which on the term is below ``level``."""
-        if self.size <= level:
-            return 0.0
-        if len(self.T) == 1:
-            return float(np.log(self.size / level) / self.decay)
-        time = max(8 / self.decay, self.dt)
-        E = self.over(time)
-        for _ in range(64):
-            if np.linalg.norm(self.g @ E) * np.linalg.norm(self.v) < level:
-                break
-            time, E = 2 * time, E @ E
-        return time
+    def bounds(self, times: Array) -> Array:
+        """(times, P) of their size from each of ``times`` [s], increasing, on."""
+        with np.errstate(invalid="ignore"):  # z = 0: no decay is too fast
+            out = np.where(times[:, None] > 0, np.exp(-self.decay[: self.alone] * times[:, None]), 1.0) @ np.abs(self.a[: self.alone])
+        for mode in range(self.alone, len(self.blocks)):
+            grid = np.append(0.0, max(1 / self.decay[mode], self.dt) * GRID)
+            steps = [self.over(mode, t) for t in grid]
+            most = 2 * max(float(np.linalg.norm(E, 2)) for E in steps)
+            sizes = np.array([np.linalg.norm(E[0]) for E in steps]) * most
+            out += np.multiply.outer(sizes[np.searchsorted(grid, times, side="right") - 1], np.linalg.norm(self.a[self.blocks[mode]], axis=0))
+        return np.asarray(out)
+
+    def deaths(self, level: Array) -> Array:
+        """(modes,) [s] from which on each is below ``level`` (P,) in all responses."""
+        times = np.log((self.size / np.where(level > 0, level, np.inf)).max(axis=1, initial=1.0)) / self.decay
+        for mode in range(self.alone, len(self.blocks)):
+            above = self.size[mode] > level
+            if not above.any():
+                continue
+            time = max(8 / self.decay[mode], self.dt)
+            E, a = self.over(mode, time), np.abs(self.a[self.blocks[mode]][:, above])
+            for _ in range(64):
+                if (np.abs(E[0]) @ a < level[above]).all():
+                    break
+                time, E = 2 * time, E @ E
+            times[mode] = time
+        return np.asarray(times)
+
+
+def _decay(rates: Complex, starts: Ints, dt: float) -> Array:
+    with np.errstate(divide="ignore"):
+        return -np.maximum.reduceat(np.log(np.abs(1 + dt * rates)) / dt if dt else rates.real, starts)
+
+
+def _doubled(first: Complex, power: Complex, count: int, times: Callable[..., Complex]) -> Complex:
+    """(k, count) from ``first`` (k, 1), each the ``power`` times the one before."""
+    out, done = np.empty((len(first), count), np.complex128), 1
+    out[:, :1] = first
+    while done < count:
+        more = min(done, count - done)
+        out[:, done : done + more] = times(power, out[:, :more])
+        done, power = done + more, times(power, power)
+    return out
+
+
+def terms(modes: Sequence[Mode], b: Array, c: Array, dt: float = 0.0) -> Terms:
+    """The modes in the responses c_p x (c: (P, nx)) to unit steps of x' = A x + b_p u (b: (nx, P)).
+
+    The part of a mode starts at Re a of its first eigenvalue; what it leaves behind at rest is the negative of that.
+    """
+    modes = sorted(modes, key=lambda mode: len(mode.T) > 1)
+    ends = np.cumsum([0, *(len(mode.T) for mode in modes)])
+    blocks = tuple(slice(int(i), int(j)) for i, j in pairwise(ends))
+    if not modes:
+        return Terms(np.zeros(0, complex), np.zeros(0), np.zeros((0, len(c)), complex), np.zeros((0, len(c))), blocks, dt)
+    rates = np.concatenate([np.diag(mode.T) for mode in modes])
+    g, v = (c @ np.concatenate([mode.right for mode in modes], axis=1)).T, np.concatenate([mode.left for mode in modes]) @ b  # (K, P)
+    above, a = np.zeros(len(rates)), g * v / rates[:, None]
+    size = np.abs(g * v / rates[:, None])[ends[:-1]]
+    decay = _decay(rates, ends[:-1], dt)
+    for j, (mode, at) in enumerate(zip(modes, blocks, strict=True)):
+        if (k := len(mode.T)) > 1:
+            scale = decay[j] if np.isfinite(decay[j]) and decay[j] > 0 else 1 / dt if dt else 1.0
+            above[at.start : at.stop - 1] = scale
+            w = np.linalg.solve(mode.T, v[at])
+            size[j] = np.linalg.norm(g[at], axis=0) * np.linalg.norm(w, axis=0)
+            for i in range(k):
+                a[at.start + i] = (g[at] * w).sum(axis=0)
+                w = (mode.T @ w - rates[at.start + i] * w) / scale
+    return Terms(rates, above, a, size, blocks, dt)
 
 
 @dataclass(frozen=True)
@@ -97,101 +175,93 @@ class _Phase:
     start: float
     step: float
     sections: int
-    alive: tuple[int, ...]
+    alive: list[int]  #: modes, in their order
 
 
-class ModalPieces(Sequence[Piece]):
-    """The pieces of a response, computed when they are asked for."""
+class ModalPieces:
+    """The pieces of P responses with the same sections, computed when they are asked for."""
 
-    def __init__(self, terms: Sequence[Term], steady: float, dt: float = 0.0) -> None:
-        """``terms`` all decay. Raises ``NotConverged`` where the response takes too many sections."""
-        self.steady, self.dt = steady, dt
-        largest = max((term.size for term in terms), default=0.0)
-        self._terms = [term for term in terms if term.size > DEAD * largest]
-        self._bounded = all(len(term.T) == 1 for term in self._terms)
-        self._phases = self._planned([term.death(DEAD * largest) for term in self._terms])
+    def __init__(self, terms: Terms, steady: Array) -> None:
+        """``terms`` all decay. Raises ``NotConverged`` where the responses take too many sections."""
+        self._terms, self._steady, self._dt = terms, steady, terms.dt
+        deaths = terms.deaths(DEAD * terms.size.max(axis=0, initial=0.0)) if terms.blocks else np.zeros(0)
+        self._phases = self._planned(deaths)
         if sum(p.sections for p in self._phases) > MOST:
             raise NotConverged("the metrics of a step response are not settled", "it takes too many swings, or samples, to die away")
-        self._where = [(p, k) for p, phase in enumerate(self._phases) for k in range(0, phase.sections, LONGEST)]
-        self._rows: dict[int, Complex] = {}
+        self._longest = min(LONGEST, max(FEW, VALUES // steady.size))
+        self._before = np.cumsum([0] + [p.sections for p in self._phases])  # sections before each phase
+        self._derivatives = [terms.a]
+        for _ in range(0 if self._dt else 2):
+            self._derivatives.append(terms.along(self._derivatives[-1]))
         self._kept: dict[int, Piece] = {}
 
-    def _planned(self, deaths: list[float]) -> list[_Phase]:
-        if self.dt:  # those at z = 0 take a sample for each state
-            sections = int(min(max(deaths, default=0.0) / self.dt, 10.0 * MOST)) + 1 + sum(len(term.T) for term in self._terms)
-            return [_Phase(0.0, self.dt, sections, tuple(range(len(deaths))))] if deaths else []
+    def _planned(self, deaths: Array) -> list[_Phase]:
+        terms = self._terms
+        if self._dt:  # those at z = 0 take a sample for each state
+            sections = int(min(deaths.max(initial=0.0) / self._dt, 10.0 * MOST)) + 1 + len(terms.rates)
+            return [_Phase(0.0, self._dt, sections, list(range(len(deaths))))]
         phases, start = [], 0.0
-        alive = [j for j, death in enumerate(deaths) if death > 0]
-        while alive:
-            fastest = max(alive, key=lambda j: self._terms[j].fastest)
-            left = deaths[fastest] - start
-            step = FRACTION / self._terms[fastest].fastest
+        alive = np.flatnonzero(deaths > 0)
+        while alive.size:
+            fastest = alive[terms.fastest[alive].argmax()]
+            left, step = float(deaths[fastest]) - start, FRACTION / float(terms.fastest[fastest])
             if left > 1e-9 * step:
                 sections = int(min(np.ceil(left / step), 10.0 * MOST))
-                phases.append(_Phase(start, left / sections, sections, tuple(alive)))
-            start = deaths[fastest]
-            alive = [j for j in alive if deaths[j] > start]
-        return phases
+                phases.append(_Phase(start, left / sections, sections, alive.tolist()))
+            start = float(deaths[fastest])
+            alive = alive[deaths[alive] > start]
+        return phases or [_Phase(0.0, 1.0, 1, [])]
 
     @property
     def end(self) -> float:
         """[s] where the last mode has died away."""
-        return self._phases[-1].start + self._phases[-1].step * self._phases[-1].sections if self._phases else 0.0
+        return self._phases[-1].start + self._phases[-1].step * self._phases[-1].sections
 
     @property
     def reach(self) -> Array:
-        """(pieces,) bound of abs(y - steady) from the start of each piece on; inf for a few pieces of defective modes, all looked at."""
-        starts = np.array([self._phases[p].start + k * self._phases[p].step for p, k in self._where])
-        if len(starts) <= FEW and not self._bounded:
-            return np.full(len(starts), np.inf)
-        out = np.full(len(starts), 2 * DEAD * sum(term.size for term in self._terms))
-        for term in self._terms:
-            out += term.bound(starts)
-        return out
+        """(pieces, P) bounds of abs(y - steady) from the start of each piece on; inf for a few pieces, all looked at."""
+        if len(self) <= FEW and self._terms.alone < len(self._terms.blocks):
+            return np.full((len(self), self._steady.size), np.inf)
+        starts = np.array([self._start(k * self._longest) for k in range(len(self))])
+        return np.asarray(self._terms.bounds(starts) + 2 * DEAD * self._terms.size.sum(axis=0))
+
+    def _start(self, section: int) -> float:
+        p = int(np.searchsorted(self._before, section, side="right")) - 1
+        return self._phases[p].start + (section - int(self._before[p])) * self._phases[p].step
 
     def __len__(self) -> int:
-        return len(self._where)
+        return -(-int(self._before[-1]) // self._longest)
 
-    @overload
-    def __getitem__(self, index: int) -> Piece: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Piece]: ...
-    def __getitem__(self, index: int | slice) -> Piece | list[Piece]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def piece(self, index: int, which: Ints | None = None) -> Piece:
+        """Piece ``index`` of the responses ``which``; None: of all."""
+        which = np.arange(self._steady.size) if which is None else which
+        if len(self) > KEPT:
+            return self._piece(index, which)
         if index not in self._kept:
-            if len(self._kept) > 64:
-                self._kept.clear()
-            self._kept[index] = self._piece(*self._where[index])
-        return self._kept[index]
+            self._kept[index] = self._piece(index, np.arange(self._steady.size))
+        return self._kept[index].of(which)
 
-    def _piece(self, p: int, first: int) -> Piece:
-        phase = self._phases[p]
-        count = min(LONGEST, phase.sections - first)
-        start, h = phase.start + first * phase.step, phase.step
-        terms = [self._terms[j] for j in phase.alive]
-        if p not in self._rows:
-            self._rows = {p: self._powers(terms, h, min(LONGEST, phase.sections) + 1)}
-        state = np.concatenate([term.over(start) @ term.v for term in terms])
-        t = np.asarray(start + h * np.arange(count + 1), float)
-        if self.dt:
-            return Piece(t, (self._rows[p][:count, :1] @ state).real + self.steady)
-        y = (self._rows[p][: count + 1] @ state).real * [1.0, h, h * h]  # (count + 1, 3)
-        y[:, 0] += self.steady
-        return Piece(t, np.concatenate([y[:-1], y[1:]], axis=1) @ QUINTIC.T)
+    def _piece(self, index: int, which: Ints) -> Piece:
+        first = index * self._longest
+        last = min(first + self._longest, int(self._before[-1]))
+        times, ends = [], []
+        for phase, before in zip(self._phases, self._before, strict=False):
+            low, high = max(first - int(before), 0), min(last - int(before), phase.sections)
+            if low < high:
+                start = phase.start + low * phase.step
+                times.append(start + phase.step * np.arange(high - low))
+                ends.append(self._run(phase, start, high - low, which))
+        times.append(np.array([self._start(last) if last < self._before[-1] else self.end]))
+        return Piece(np.concatenate(times), np.concatenate(ends, axis=2), HELD if self._dt else QUINTIC)
 
-    @staticmethod
-    def _powers(terms: list[Term], h: float, count: int) -> Complex:
-        """(count, 3, k): rows that give y, y' and y'' after 0, 1, 2, ... sections from the state."""
-        T = np.asarray(block_diag(*(term.T for term in terms)), np.complex128)
-        g = np.concatenate([term.g for term in terms])
-        power = np.asarray(block_diag(*(term.over(h) for term in terms)), np.complex128)
-        rows = np.stack([g, g @ T, g @ T @ T])[None]
-        while len(rows) < count:
-            rows, power = np.concatenate([rows, rows @ power]), power @ power
-        return rows[:count]
-
-
-def term(mode: Mode, b: Array, c: Array, dt: float = 0.0) -> Term:
-    """The part of a mode in c x after a unit step of x' = A x + b u; what it leaves behind at rest is -g v."""
-    return Term(mode.T, np.asarray(c @ mode.right, np.complex128), np.asarray(np.linalg.solve(mode.T, mode.left @ b), np.complex128), dt)
+    def _run(self, phase: _Phase, start: float, sections: int, which: Ints) -> Array:
+        """(q, P, sections): what is known of each section, the values and their derivatives by h at its ends."""
+        orders = len(self._derivatives)
+        y = np.zeros((orders, which.size, sections + 1))
+        if phase.alive:
+            rows = self._terms.rows(phase.alive, start, phase.step, sections + 1)  # (k, sections + 1)
+            entries = np.concatenate([np.arange(self._terms.blocks[j].start, self._terms.blocks[j].stop) for j in phase.alive])
+            a = np.concatenate([phase.step**i * one[np.ix_(entries, which)] for i, one in enumerate(self._derivatives)], axis=1).T
+            y = (np.hstack([a.real, -a.imag]) @ np.vstack([rows.real, rows.imag])).reshape(y.shape)
+        y[0] += self._steady[which, None]
+        return y[:, :, :-1] if self._dt else np.concatenate([y[:, :, :-1], y[:, :, 1:]])

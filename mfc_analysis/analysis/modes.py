@@ -60,12 +60,20 @@ def modes(A: Array, radius: float = 0.0) -> list[Mode]:
     if not len(A):
         return []
     balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    size = float(np.abs(balanced).max(initial=0.0))
+    split = min(radius, SPLIT * size)
+    s, V = (np.asarray(x, np.complex128) for x in np.linalg.eig(balanced))
+    if _together(s, GAPS[0], radius, split).max() == len(A) - 1:  # all apart: one by one, as long as the eigenvectors are worth something
+        W = np.linalg.inv(V)
+        amplified = np.linalg.norm(V, axis=0) * np.linalg.norm(W, axis=1)
+        if amplified.max() <= COUPLED:
+            right, left = np.asarray(scale[:, None] * V, np.complex128), np.asarray(W / scale, np.complex128)
+            return [Mode(s[[j], None], right[:, [j]], left[[j]], ROUNDING * size * float(g)) for j, g in enumerate(amplified)]
     found: Any = schur(balanced, output="complex")
     T, U = found[0], found[1]
-    size = float(np.abs(balanced).max(initial=0.0))
     best: tuple[float, Any] = (np.inf, None)
     for gap in GAPS:
-        R, V, W, order = _decoupled(T, U, _together(np.diag(T), gap, radius, min(radius, SPLIT * size)))
+        R, V, W, order = _decoupled(T, U, _together(np.diag(T), gap, radius, split))
         masks = [np.asarray(order == j) for j in range(int(order.max()) + 1)]
         grown = [float(np.linalg.norm(V[:, at], 2) * np.linalg.norm(W[at], 2)) for at in masks]
         if max(grown) < best[0]:

@@ -1,35 +1,34 @@
 """Step responses of the closed loop, with their metrics.
 
-Samples come from one matrix exponential by doubling (x[k + 2^p] from x[k] in one product). The metrics are those of the sum of the modes, to
-where the last has died away: they depend on no grid and no duration. For dead time see ``delay.steps``.
+All responses of a point are computed together, and one is a batch of one. For the samples see ``step_samples``. The metrics are those of the sum
+of the modes, to where the last has died away: they depend on no grid and no duration. For dead time see ``delay.steps``.
 """
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.delay.roots import delay_roots
 from mfc_analysis.analysis.delay.steps import delayed_runner, longest_step
-from mfc_analysis.analysis.modal_response import ModalPieces, Term, term
+from mfc_analysis.analysis.modal_response import ModalPieces, terms
 from mfc_analysis.analysis.modes import Mode, modes
 from mfc_analysis.analysis.slow import MOVES
-from mfc_analysis.analysis.spectrum import Spectrum, rates, spectrum
+from mfc_analysis.analysis.spectrum import spectrum
 from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.step_run import BAND, METRICS, Piece, metrics
+from mfc_analysis.analysis.step_run import BAND, METRICS, metrics, metrics_of
+from mfc_analysis.analysis.step_samples import FEWEST, between, input_groups, step_samples
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument, UnknownName
-from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.checks import number
-from mfc_analysis.maths.zero_order_hold import zero_order_hold
+from mfc_analysis.maths.arrays import Array, Ints
+from mfc_analysis.maths.checks import number, times as checked_times
 
-SAMPLES = 1000  #: fewest samples of a response
 MOST_SAMPLES = 60_000_000  #: of a sampled loop
-BLOCK = 4096  #: samples computed at once
 DIED = 14.0  #: time constants of the slowest characteristic root in a run with dead time,
 ROOTS = 8  #: of those that are looked at
 AFFORDED = 50_000  #: steps of such a run, unless it takes more to settle
@@ -73,19 +72,186 @@ class Step:
     __repr__ = __str__
 
 
-def step(system: OpenSystem, index: int, input: str | int, output: str | int, duration: float | None = None) -> Step:
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Unit step responses of m points, ny outputs and nu inputs, computed when they are asked for; ``steps[i, output, input]`` is one of them.
+
+    The metrics are (m, ny, nu), as in ``Step``, which defines them. They do not depend on ``t``.
+    """
+
+    t: Array  #: (k,) [s]
+    system: OpenSystem  #: with the inputs and outputs asked for
+    settling_band: float = BAND  #: of the final value, or of the peak where that is zero
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """(nu,) names."""
+        return self.system.input_names
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """(ny,) names."""
+        return self.system.output_names
+
+    @property
+    def times(self) -> Array:
+        """(m,) [s] of the operating points."""
+        return self.system.times
+
+    @cached_property
+    def y(self) -> Array:
+        """(m, ny, nu, k) outputs per unit of the inputs. Raises ``BadArgument`` for more steps than a loop with dead time affords."""
+        return step_samples(self.system, self.t)
+
+    @cached_property
+    def _metrics(self) -> dict[str, Array]:
+        ny, nu = len(self.outputs), len(self.inputs)
+        found = pair_metrics(self.system, np.tile(np.arange(nu), ny), np.repeat(np.arange(ny), nu))
+        return {name: values.reshape(len(self), ny, nu) for name, values in found.items()}
+
+    @property
+    def outcome(self) -> Array:
+        """(m, ny, nu) of ``Outcome``."""
+        return self._metrics["outcome"]
+
+    @property
+    def steady_state(self) -> Array:
+        """Final values; inf with its sign where a response ramps, NaN where it grows."""
+        return self._metrics["steady_state"]
+
+    @property
+    def rise(self) -> Array:
+        """[s] from the first 10 % to the first 90 % of the final value."""
+        return self._metrics["rise"]
+
+    @property
+    def settling(self) -> Array:
+        """[s] last time outside ``settling_band``; inf where a response ramps, NaN where it grows."""
+        return self._metrics["settling"]
+
+    @property
+    def overshoot(self) -> Array:
+        """Fraction of the final value by which the peak exceeds it."""
+        return self._metrics["overshoot"]
+
+    @property
+    def undershoot(self) -> Array:
+        """Fraction of the final value by which a response first moves in the wrong direction."""
+        return self._metrics["undershoot"]
+
+    @property
+    def peak(self) -> Array:
+        """Largest abs(y), the final value where that is never exceeded."""
+        return self._metrics["peak"]
+
+    @property
+    def peak_time(self) -> Array:
+        """[s]; inf where a response comes nearest to its peak at the end."""
+        return self._metrics["peak_time"]
+
+    def __getitem__(self, where: tuple[int, int | str, int | str]) -> Step:
+        """One response, by its point, output and input (numbers or names). Raises ``BadArgument`` and ``UnknownName``."""
+        i = _index(self.system, where[0])
+        o, j = _number("output", where[1], self.outputs), _number("input", where[2], self.inputs)
+        y = self.y[i, o, j] if "y" in self.__dict__ else step_samples(between(self.system.at(np.array([i])), [j], [o]), self.t)[0, 0, 0]
+        metrics = {name: values[i, o, j] for name, values in self._metrics.items()}
+        return Step(self.t, y, self.inputs[j], self.outputs[o], float(self.times[i]), settling_band=self.settling_band, **metrics)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def _rows(self) -> list[tuple[str, str, str, str]]:
+        """Of every output: its name, the longest settling and the largest overshoot with where they are, and how many settle."""
+        return [
+            (
+                name,
+                self._largest(self.settling[:, o], " s"),
+                self._largest(100 * self.overshoot[:, o], " %"),
+                f"{np.count_nonzero(self.outcome[:, o] == Outcome.SETTLES)} of {self.outcome[:, o].size}",
+            )
+            for o, name in enumerate(self.outputs)
+        ]
+
+    def _largest(self, values: Array, unit: str) -> str:
+        known = np.where(np.isfinite(values), values, -np.inf)
+        if not np.isfinite(known).any():
+            return "-"
+        i, j = np.unravel_index(int(known.argmax()), known.shape)
+        return f"{values[i, j]:.4g}{unit} ({self.inputs[j]}, t = {self.times[i]:.4g} s)"
+
+    def __str__(self) -> str:
+        rows = [
+            f"  {name}: longest settling {settling}, largest overshoot {over}; {settled} settle" for name, settling, over, settled in self._rows()
+        ]
+        return "\n".join([self._title, *rows])
+
+    __repr__ = __str__
+
+    @property
+    def _title(self) -> str:
+        points = f"{len(self)} point{'s' * (len(self) != 1)}"
+        return f"step responses of {len(self.outputs)} outputs to {len(self.inputs)} inputs at {points}, {self.t.size} samples each"
+
+    def _repr_html_(self) -> str:
+        from mfc_analysis.notebook import table
+
+        heads = ("output", f"longest settling ({100 * self.settling_band:g} %)", "largest overshoot", "settle")
+        return table(self._title, heads, self._rows())
+
+
+def step(system: OpenSystem, index: int, input: str | int, output: str | int, duration: float | None = None, times: ArrayLike | None = None) -> Step:
     """Unit step response from ``input`` to ``output`` of the closed loop at point ``index``, dead time included.
 
-    ``input``, ``output``: names or numbers; ``duration`` [s] of the samples returned; omitted: about twice the settling time.
-    The metrics do not depend on it: they are those of the sum of all modes, or, with dead time, of a run to where the slowest root has
-    died away. Raises ``UnknownName`` and ``BadArgument``.
+    ``input``, ``output``: names or numbers. ``times`` (k,) [s] of the samples returned, or their ``duration`` [s]; omitted: about twice the
+    settling time. The metrics do not depend on it: they are those of the sum of all modes, or, with dead time, of a run to where the slowest
+    root has died away. Raises ``UnknownName`` and ``BadArgument``.
     """
-    if not -len(system.A) <= index < len(system.A):
-        raise BadArgument("index", index, f"a point from 0 to {len(system.A) - 1}")
+    i = _index(system, index)
     into, out = _number("input", input, system.input_names), _number("output", output, system.output_names)
+    one = between(system.at(np.array([i])), [into], [out])
     if duration is not None:
         duration = number("duration", duration, low=0.0, strict=True)
-    return point_of(system, index).step(into, out, duration)
+    t = None if times is None else _sample_times(times)
+    if t is not None and duration is not None:
+        raise BadArgument("duration", duration, "either times or a duration")
+    first = np.zeros(1, int)
+    point = _points(one)[0]
+    found = {name: values[0] for name, values in point.metrics(first, first).items()}
+    if t is None:
+        t, y = point.samples(duration, **found)
+    else:
+        y = step_samples(one, t)[0, 0, 0]
+    found.pop("longest")
+    return Step(t, y, one.input_names[0], one.output_names[0], float(one.times[0]), settling_band=BAND, **found)
+
+
+def steps(system: OpenSystem, times: ArrayLike, inputs: Sequence[str | int] | None = None, outputs: Sequence[str | int] | None = None) -> Steps:
+    """Unit step responses of all outputs to all inputs at all points, dead time included, sampled at ``times`` (k,) [s] after the step.
+
+    ``inputs``, ``outputs``: names or numbers; None: all. Raises ``UnknownName`` and ``BadArgument``.
+    """
+    into, out = (
+        range(len(known)) if asked is None else [_number(which, name, known) for name in asked]
+        for which, asked, known in (("inputs", inputs, system.input_names), ("outputs", outputs, system.output_names))
+    )
+    for which, asked in (("inputs", into), ("outputs", out)):
+        if not asked:
+            raise BadArgument(which, [], "at least one of them")
+    return Steps(_sample_times(times), between(system, into, out))
+
+
+def _sample_times(times: ArrayLike) -> Array:
+    t = checked_times(times)
+    if t[0] < 0:
+        raise BadArgument("times", times, "increasing times >= 0 [s] after the step")
+    return t
+
+
+def _index(system: OpenSystem, index: int) -> int:
+    m = len(system.A)
+    if not -m <= index < m:
+        raise BadArgument("index", index, f"a point from 0 to {m - 1}")
+    return int(index) % m
 
 
 def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
@@ -98,19 +264,16 @@ def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
     return known.index(name)
 
 
-@dataclass(frozen=True, eq=False)
-class _End:
-    """Behaviour of a response within the horizon."""
-
-    outcome: Outcome
-    steady: float = np.nan
-    terms: tuple[Term, ...] = ()  #: what dies away, without dead time
-    slow: bool = False  #: some of that is slow
+def _points(system: OpenSystem) -> list[Point]:
+    verdict = stability(system)
+    decay = verdict.nonzero_stable | ~verdict.held
+    return [Point(system.at(np.array([i])), closed, bool(decay[i])) for i, closed in enumerate(zip(*close_wires(system), strict=True))]
 
 
-def point_of(system: OpenSystem, index: int) -> Point:
-    """The loop at one of its points, of which several responses are asked."""
-    return Point(system.at(np.array([index % len(system.A)])))
+def pair_metrics(system: OpenSystem, into: Ints, out: Ints) -> dict[str, Array]:
+    """(m, P) outcome, final value and metrics, by their names in ``Step``, of the steps from inputs ``into`` (P,) to outputs ``out`` (P,)."""
+    found = [point.metrics(into, out) for point in _points(system)]
+    return {name: np.array([one[name] for one in found]).reshape(len(found), into.size) for name in ("outcome", "steady_state", *METRICS)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +281,8 @@ class Point:
     """A loop at one point, and what all its responses share."""
 
     system: OpenSystem
-
-    @cached_property
-    def closed(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D of the closed loop, without dead time."""
-        A, B, C, D = (x[0] for x in close_wires(self.system))
-        return A, B, C, D
+    closed: tuple[Array, Array, Array, Array]  #: A, B, C, D of the closed loop, without dead time
+    others_decay: bool  #: no root grows that is not slow: also where every root is slow
 
     @cached_property
     def modes(self) -> list[Mode]:
@@ -131,83 +290,95 @@ class Point:
         A, dt = self.closed[0], self.system.dt
         return modes((A - np.eye(len(A))) / dt if dt else A, self.system.radius)
 
-    @cached_property
-    def known(self) -> Spectrum:
-        """Poles without dead time."""
-        return spectrum(self.system)
+    def metrics(self, into: Ints, out: Ints) -> dict[str, Array]:
+        """(P,) of each response: the outcome, the final value, the metrics, and "longest": a time [s] at which everything has died away.
 
-    @cached_property
-    def others_decay(self) -> bool:
-        """Whether no root grows that is not slow: also where every root is slow."""
-        verdict = stability(self.system)
-        return bool(verdict.nonzero_stable[0] or not verdict.held[0])
-
-    def step(self, into: int, out: int, duration: float | None = None) -> Step:
-        """The response of output number ``out`` to input number ``into``."""
-        system, end = self.system, self._end(into, out)
-        outcome, steady, found = end.outcome, end.steady, dict.fromkeys(METRICS, np.nan)
-        run = delayed_runner(system, into, out) if system.delayed else None
-        longest = 0.0
-        if outcome is Outcome.SETTLES:
-            found, longest = self._delayed_metrics(run, steady) if run else self._metrics(end)
-            if found["settling"] > system.horizon and end.slow:
-                outcome, steady = Outcome.RAMPS, float(np.copysign(np.inf, steady))
-                found = dict.fromkeys(METRICS, np.nan)
-        if outcome is Outcome.RAMPS:
-            found["settling"] = np.inf
-        if duration is None:
-            turned = found["peak_time"] if found["overshoot"] > 0 else 0.0
-            duration = max(2 * found["settling"], 1.2 * turned) or longest if outcome is Outcome.SETTLES else self._unsettled()
-        samples = self._samples(duration)
-        t, y = run(duration, samples).samples if run else self._run(into, out, duration, samples)
-        return Step(t, y, system.input_names[into], system.output_names[out], float(system.times[0]), outcome, steady, settling_band=BAND, **found)
-
-    def _end(self, into: int, out: int) -> _End:
-        """The final value, on which dead time has no effect. A slow mode that is not sure to decay leaves no trace, or ramps."""
+        Dead time has no effect on final values. A slow mode that is not sure to decay leaves no trace, or ramps.
+        """
+        system, dt, P = self.system, self.system.dt, into.size
+        found = {name: np.full(P, np.nan) for name in ("steady_state", *METRICS)}
+        found |= {"outcome": np.full(P, Outcome.GROWS), "longest": np.zeros(P)}
         if not self.others_decay:
-            return _End(Outcome.GROWS)
-        system, dt = self.system, self.system.dt
+            return found
         _, B, C, D = self.closed
-        b, c, d = B[:, into] / (dt or 1.0), C[out], float(D[out, into])
-        slow = [bool((np.abs(mode.rates) < system.radius).all()) for mode in self.modes]
-        loose = [mode for mode, creeps in zip(self.modes, slow, strict=True) if creeps and not mode.decays(dt)]
-        terms = tuple(term(mode, b, c, dt) for mode in self.modes if mode not in loose)
-        settled = np.array([float((one.g @ one.v).real) for one in terms])
-        steady = d - settled.sum()
+        b, c, d = B[:, into] / (dt or 1.0), C[out], D[out, into]
+        slow = [mode for mode in self.modes if (np.abs(mode.rates) < system.radius).all()]
+        loose = [mode for mode in slow if not mode.decays(dt)]
+        found_terms = terms([mode for mode in self.modes if mode not in loose], b, c, dt)
+        starts = found_terms.a[found_terms.starts].real
+        steady = d - starts.sum(axis=0)
+        steady[np.abs(steady) < 1e-13 * (np.abs(starts).sum(axis=0) + np.abs(d))] = 0.0
         horizon = system.horizon if np.isfinite(system.horizon) else 1.0
-        moved = [sum(float((c @ m.right @ m.integral(t, dt) @ m.left @ b).real) for m in loose) for t in (horizon, horizon / 2)]
-        scale = sum(one.size for one in terms) + abs(d)
-        if max(map(abs, moved)) > MOVES * scale + 1e-300:
-            return _End(Outcome.RAMPS, float(np.copysign(np.inf, moved[0])))
-        if abs(steady) < 1e-13 * (np.abs(settled).sum() + abs(d)):
-            steady = 0.0
-        return _End(Outcome.SETTLES, float(steady), terms, sum(slow) > len(loose))
+        moved = np.zeros((2, P))
+        for mode in loose:
+            moved += [((c @ mode.right @ mode.integral(time, dt)).T * (mode.left @ b)).sum(axis=0).real for time in (horizon, horizon / 2)]
+        ramps = np.abs(moved).max(axis=0) > MOVES * (found_terms.size.sum(axis=0) + np.abs(d)) + 1e-300
+        found["steady_state"] = np.where(ramps, np.copysign(np.inf, moved[0]), steady)
+        at = np.flatnonzero(~ramps)
+        if at.size:
+            if system.delayed:
+                new = self._delayed_metrics(into[at], out[at], steady[at])
+            else:
+                pieces = ModalPieces(found_terms.of(at), steady[at])
+                new = metrics(pieces.piece, steady[at], pieces.reach) | {"longest": np.full(at.size, pieces.end)}
+            late = (new["settling"] > system.horizon) & (len(slow) > len(loose))
+            for name, values in new.items():
+                found[name][at] = np.where(late & (name != "longest"), np.nan, values)
+            ramps[at[late]] = True
+            found["steady_state"][at[late]] = np.copysign(np.inf, steady[at[late]])
+        found["settling"][ramps] = np.inf
+        found["outcome"] = np.array([Outcome.SETTLES, Outcome.RAMPS])[ramps.astype(int)]
+        return found
 
-    def _metrics(self, end: _End) -> tuple[dict[str, float], float]:
-        """The metrics, and a time [s] at which everything has died away."""
-        dt = self.system.dt
-        pieces = ModalPieces(end.terms, end.steady, dt)
-        if not len(pieces):
-            return metrics([Piece(np.array([0.0, dt or 1.0]), np.array([[end.steady]]))], end.steady), 10 * dt or 1.0
-        return metrics(pieces, end.steady, pieces.reach), pieces.end
-
-    def _delayed_metrics(self, run: Callable[[float, int], Piece], steady: float) -> tuple[dict[str, float], float]:
+    def _delayed_metrics(self, into: Ints, out: Ints, steady: Array) -> dict[str, Array]:
         """The same with dead time, from a run to where the slowest characteristic root has died away, or as far as ``AFFORDED`` steps go."""
         system = self.system
         roots = delay_roots(system, ROOTS)[0]
         decay = -roots.real[np.isfinite(roots.real) & (np.abs(roots) >= system.radius)]
         longest = min(max([DIED / x for x in decay if x > 0], default=0.0), AFFORDED * longest_step(system))
-        duration = max(longest, 10 * float(system.wire_delay.max()))
-        while True:
-            found = metrics([run(duration, SAMPLES)], steady)
-            if found["settling"] < 0.9 * duration:
-                return found, duration
-            duration *= 2
+        longest = max(longest, 10 * float(system.wire_delay.max()))
+        found = {name: np.zeros(steady.size) for name in (*METRICS, "longest")}
+        rows = np.unique(out)
+        for group in input_groups(between(system, range(system.nu), rows)):
+            group = np.intersect1d(group, into)
+            run = delayed_runner(between(system, group, rows))
+            left, duration = np.flatnonzero(np.isin(into, group)), longest
+            while left.size:
+                piece = run(duration, FEWEST).of(np.searchsorted(rows, out[left]) * group.size + np.searchsorted(group, into[left]))
+                new = metrics_of(piece, steady[left])
+                settled = new["settling"] < 0.9 * duration
+                for name, values in new.items():
+                    found[name][left[settled]] = values[settled]
+                found["longest"][left] = duration
+                left, duration = left[~settled], 2 * duration
+        return found
+
+    def samples(
+        self, duration: float | None, outcome: Outcome, settling: float, overshoot: float, peak_time: float, longest: float, **_: float
+    ) -> tuple[Array, Array]:
+        """Times [s] and values of the only response of the system; ``duration`` None: chosen by its metrics."""
+        system, dt = self.system, self.system.dt
+        if duration is None:
+            turned = peak_time if overshoot > 0 else 0.0
+            duration = float(max(2 * settling, 1.2 * turned) or longest) if outcome is Outcome.SETTLES else self._unsettled()
+        if system.delayed:
+            t, values = delayed_runner(system)(duration, self._count(duration)).samples
+            return t, values[0]
+        if dt:
+            count = max(2, int(np.ceil(duration / dt * (1 - 1e-12))))
+            if count > MOST_SAMPLES:
+                raise BadArgument("duration", duration, f"at most {MOST_SAMPLES * dt:.4g} s, {MOST_SAMPLES} samples of {dt:.3g} s")
+            t = np.linspace(0.0, dt * count, count + 1)
+        else:
+            count = self._count(duration)
+            t = np.asarray(duration / count * np.arange(count + 1), float)
+        return t, step_samples(system, t)[0, 0, 0]
 
     def _unsettled(self) -> float:
         """[s] duration that shows how a response grows, or moves on."""
         system = self.system
-        s = rates(self.known.poles, system.dt)[~self.known.slow]
+        known = spectrum(system)
+        s = known.rates[~known.slow]
         rate = s.real[np.isfinite(s.real) & (np.abs(s.real) > 1e-12 * np.abs(s))]
         slowest = rate.max() if (rate > 0).any() else np.abs(rate).min() if rate.size else 1.0
         enough = 8 / float(slowest)
@@ -217,48 +388,8 @@ class Point:
         growth = float(delay_roots(system, 1)[0, 0].real) if not self.others_decay else 0.0
         return min(max(enough, min(3 / growth, 20 * enough)) if growth > 0 else enough, AFFORDED * longest_step(system))
 
-    def _samples(self, duration: float) -> int:
+    def _count(self, duration: float) -> int:
         if self.system.dt:
             return max(1, round(duration / self.system.dt))
-        turns = duration * np.abs(self.known.poles.imag).max(initial=0.0) / (2 * np.pi)
-        return int(np.clip(16 * turns, SAMPLES, 20 * SAMPLES))
-
-    def _run(self, into: int, out: int, duration: float, samples: int) -> tuple[Array, Array]:
-        """Times [s] and values of the response, without dead time."""
-        (A, B, C, D), dt = self.closed, self.system.dt
-        b, c, d = B[:, [into]], C[out], float(D[out, into])
-        if dt:
-            return _sampled(A, b, c, d, dt, max(2, int(np.ceil(duration / dt * (1 - 1e-12)))))
-        move, push = zero_order_hold(A, b, duration / samples)
-        x = _doubled(move, push[:, 0], samples)
-        with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(duration / samples * np.arange(samples + 1), float), np.asarray(c @ x + d)
-
-
-def _sampled(A: Array, b: Array, c: Array, d: float, dt: float, samples: int) -> tuple[Array, Array]:
-    """The samples in blocks: within one, y[k] = c A^k x of the state x at its start, so that only the outputs are kept."""
-    if samples > MOST_SAMPLES:
-        raise BadArgument("duration", samples * dt, f"at most {MOST_SAMPLES * dt:.4g} s, {MOST_SAMPLES} samples of {dt:.3g} s")
-    n = len(A)
-    whole = np.block([[A, b], [np.zeros((1, n)), np.ones((1, 1))]])  # the input is a state that stays
-    rows = np.append(c, d)[None, :]
-    block = whole
-    while len(rows) < min(BLOCK, samples + 1):
-        rows, block = np.concatenate([rows, rows @ block]), block @ block
-    x, y = np.append(np.zeros(n), 1.0), np.empty(samples + 1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(0, samples + 1, len(rows)):
-            y[k : k + len(rows)] = (rows @ x)[: samples + 1 - k]
-            x = block @ x
-    return np.linspace(0.0, dt * samples, samples + 1), y
-
-
-def _doubled(move: Array, push: Array, samples: int) -> Array:
-    """x[k + 1] = move x[k] + push from x[0] = 0: (nx, samples + 1), by doubling."""
-    x = np.zeros((len(push), 1))
-    with np.errstate(over="ignore", invalid="ignore"):
-        while x.shape[1] <= samples:
-            x = np.hstack([x, move @ x + push[:, None]])
-            push = move @ push + push
-            move = move @ move
-    return x[:, : samples + 1]
+        turns = duration * max((np.abs(mode.rates.imag).max() for mode in self.modes), default=0.0) / (2 * np.pi)
+        return int(np.clip(16 * turns, FEWEST, 20 * FEWEST))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.disk import DiskMargin
     from mfc_analysis.analysis.floquet import TransientGrowth
     from mfc_analysis.analysis.margins import Margins
-    from mfc_analysis.analysis.steps import Step
+    from mfc_analysis.analysis.steps import Step, Steps
 
 MANY_SAMPLES = 60  #: samples in transit above which the verdict counts roots instead of computing all of them
 
@@ -292,11 +292,25 @@ class Linearization:
         at = self._at(at)
         return frequency_response(self.opened_for(at), w, at)
 
-    def step(self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None) -> Step:
-        """Unit step response of the closed loop at one time, with its metrics. Raises UnknownName."""
+    def step(
+        self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None, *, times: ArrayLike | None = None
+    ) -> Step:
+        """Unit step response of the closed loop at one time, with its metrics.
+
+        ``duration`` [s] of its samples, or their ``times`` (k,) [s]; omitted: about twice the settling time. Raises UnknownName, BadArgument.
+        """
         from mfc_analysis.analysis.steps import step
 
-        return step(self.opened, self._index(index), input, output, duration)
+        return step(self.opened, self._index(index), input, output, duration, times)
+
+    def steps(self, times: ArrayLike, inputs: Sequence[int | str] | None = None, outputs: Sequence[int | str] | None = None) -> Steps:
+        """All unit step responses at all m times of the path, as one batch, sampled at ``times`` (k,) [s] after the step, with their metrics.
+
+        ``inputs``, ``outputs``: names or numbers; omitted: all. Raises UnknownName, and BadArgument for times that do not increase from 0 on.
+        """
+        from mfc_analysis.analysis.steps import steps
+
+        return steps(self.opened, times, inputs, outputs)
 
     def decentralised(self) -> Decentralised:
         """The same gains on diag(M) and diag(dg/dq): n separate loops. Raises Unsupported for laws that are not decentralised."""

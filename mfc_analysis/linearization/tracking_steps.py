@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mfc_analysis.analysis.loop_step import SettlingStep, loop_step
-from mfc_analysis.analysis.steps import point_of
+from mfc_analysis.analysis.steps import pair_metrics
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.laws.law import TWIST, WRENCH
 from mfc_analysis.maths.arrays import Array
@@ -51,15 +51,10 @@ def step_metrics(lin: Linearization, step: SettlingStep = "reference", at: str |
         system, pairs = followed(lin)
         numbers = [(system.input_names.index(source), system.output_names.index(target)) for source, target, _ in pairs]
         channels, late = tuple(name for *_, name in pairs), np.zeros(len(pairs))
-    settling, overshoot = np.full((len(lin.times), len(numbers)), np.nan), np.full((len(lin.times), len(numbers)), np.nan)
-    for i in range(len(lin.times)):
-        point = point_of(system, i)
-        for j, (into, out) in enumerate(numbers):
-            found = point.step(into, out)
-            settling[i, j], overshoot[i, j] = found.settling + late[j], found.overshoot
-            if found.steady_state == 0.0:
-                settling[i, j] = np.nan
-    return StepMetrics(lin.times, channels, settling, overshoot)
+    into, out = np.array(numbers, int).reshape(-1, 2).T
+    found = pair_metrics(system, into, out)
+    settling = np.where(found["steady_state"] == 0.0, np.nan, found["settling"] + late)
+    return StepMetrics(lin.times, channels, settling, found["overshoot"])
 
 
 def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]]:

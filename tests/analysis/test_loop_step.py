@@ -8,7 +8,7 @@ import pytest
 
 import mfc_analysis as mfc
 from mfc_analysis.analysis.loop_step import STEPS, loop_step
-from mfc_analysis.analysis.steps import point_of, step
+from mfc_analysis.analysis.steps import step
 from mfc_analysis.errors import UnknownPoint, Unsupported
 from mfc_analysis.linearization.tracking_steps import step_metrics
 
@@ -59,7 +59,7 @@ def test_every_channel_steps_as_the_loop_of_python_control_closed_again(name, jo
     robot = mfc.robots.load(name)
     lin = opened(mfc.laws.JointPID(400.0, 300.0, 80.0), robot.with_armature(0.5), torque_lag=3e-3, **sampled)
     system, _ = loop_step(lin.opened_for("torque"), "torque")
-    found = point_of(system, 0).step(joint, joint, 0.5)
+    found = step(system, 0, joint, joint, 0.5)
     T = control.feedback(lin.loop(0, "torque", joint))
     y = control.forced_response(T, found.t, np.ones_like(found.t)).outputs
     np.testing.assert_allclose(found.y, y, atol=1e-9)

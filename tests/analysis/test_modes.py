@@ -33,6 +33,14 @@ def test_multiple_eigenvalues_stay_together() -> None:
     assert_allclose(sum(m.right @ m.T @ m.left for m in found), Q @ whole @ Q.T, atol=1e-9)
 
 
+def test_eigenvalues_apart_whose_eigenvectors_are_worth_nothing_share_a_mode() -> None:
+    """1e-3 of each other and coupled by 1e6: apart by the first gap, and amplified 1e9 times."""
+    A = np.array([[-1.0, 1e6, 0.0], [0.0, -1.001, 0.0], [0.0, 0.0, -50.0]])
+    rotated = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    found = modes(rotated @ A @ rotated.T)
+    assert sorted(len(m.T) for m in found) == [1, 2]
+
+
 def test_a_mode_decays_where_its_root_is_further_from_the_axis_than_rounding() -> None:
     # s^2 + s + 1e-6: roots -1e-6 and -1; s^2 + s: 0 and -1
     assert all(m.decays() for m in modes(np.array([[0, 1.0], [-1e-6, -1]])))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 import warnings
 from dataclasses import replace
 
@@ -11,12 +12,13 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
+import mfc_analysis as mfc
 from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.steps import Outcome, step
-from mfc_analysis.analysis.system import close_wires
+from mfc_analysis.analysis.steps import Outcome, pair_metrics, step, steps
+from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument, UnknownName
 from tests.analysis.conftest import open_system, random_loops
-from tests.soak.steps import wrong
+from tests.soak.steps import drawn, wrong
 from tests.test_arms import loops
 
 s = control.tf("s")
@@ -203,3 +205,136 @@ def test_a_free_direction_that_keeps_moving_within_the_horizon_ramps_whatever_it
 def test_metrics_are_those_of_the_modal_sum_in_extended_precision(seed):
     said, _ = wrong(seed)
     assert said == ""
+
+
+METRICS = ("steady_state", "rise", "settling", "overshoot", "undershoot", "peak", "peak_time")
+Q = np.array([0.0, -1.2, 1.5, -0.8, 1.57, 0.3])
+LOOPS = {
+    "wrong model": (2.0, {}),
+    "exact model, A defective": (0.0, {}),
+    "dead time": (2.0, {"delay": 2e-3, "torque_lag": 20e-3}),
+    "sampled": (2.0, {"sample_time": 2e-3, "delay": 2e-3}),
+}
+
+
+def ur5(payload, hardware, times):
+    robot = mfc.robots.ur5()
+    law, path = mfc.laws.ComputedTorque(100.0, 80.0, 20.0), mfc.trajectories.Sinusoid(Q, 0.3, 1.5)
+    hardware = mfc.Hardware(**hardware) if hardware else None
+    return mfc.ClosedLoop(robot.with_payload(payload), law, path, controller_model=robot, hardware=hardware).linearize(times)
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_every_response_of_a_batch_is_the_one_that_is_computed_alone(name):
+    lin = ur5(*LOOPS[name], [0.3, 2.0])
+    t = np.linspace(0.0, 1.0, 21)
+    found = lin.steps(t, inputs=[2, "disturbance_elbow_joint"], outputs=["q_elbow_joint", 1, "tau_wrist_1_joint"])
+    assert found.y.shape == (2, 3, 2, 21) and found.outcome.shape == found.rise.shape == (2, 3, 2)
+    for i, out, into in ((0, 0, 0), (1, 2, 0), (1, 1, 1)):
+        one = lin.step(i, found.inputs[into], found.outputs[out], times=t)
+        of_batch = found[i, out, found.inputs[into]]
+        assert (of_batch.input, of_batch.output, of_batch.time, of_batch.outcome) == (one.input, one.output, one.time, one.outcome)
+        size = max(one.peak, np.abs(one.y).max())
+        assert_allclose(found.y[i, out, into], one.y, rtol=0, atol=1e-9 * size)
+        assert_allclose(of_batch.y, one.y, rtol=0, atol=1e-9 * size)
+        for metric in METRICS:
+            assert_allclose(getattr(found, metric)[i, out, into], getattr(one, metric), rtol=1e-7 if metric == "peak_time" else 1e-9, atol=1e-12)
+            assert getattr(of_batch, metric) == getattr(found, metric)[i, out, into] or np.isnan(getattr(of_batch, metric))
+
+
+@pytest.mark.parametrize("name", ["wrong model", "exact model, A defective"])
+def test_all_responses_of_a_point_are_those_of_python_control_and_their_metrics_those_of_a_dense_solution(name):
+    lin = ur5(*LOOPS[name], [0.3])
+    t = np.linspace(0.0, 4.0, 301)
+    found, model = lin.steps(t), lin.system(0)
+    truth = control.step_response(model, t).y
+    size = np.maximum(np.abs(truth).max(axis=2), 1e-9)
+    assert (np.abs(found.y[0] - truth).max(axis=2) < 1e-9 * size).all()
+    dense = np.linspace(0.0, 20.0, 100_001)
+    y = lin.steps(dense, inputs=range(6), outputs=range(6)).y[0]
+    step_ = dense[1]
+    for o, i in np.ndindex(6, 6):
+        final = found.steady_state[0, o, i]
+        if np.abs(y[o, i]).max() < 1e-9:  # joints that an exact model decouples
+            continue
+        turn = np.abs(y[o, i]).argmax()
+        left, top, right = np.abs(y[o, i][[turn - 1, turn, (turn + 1) % dense.size]])
+        vertex = top + (left - right) ** 2 / (8 * (2 * top - left - right)) if 0 < turn < dense.size - 1 else top
+        assert found.peak[0, o, i] == pytest.approx(max(vertex, abs(final)), rel=1e-6)
+        band = 0.02 * (abs(final) if abs(final) > 1e-9 * vertex else vertex)
+        apart = np.abs(y[o, i] - final) - band
+        k = np.flatnonzero(apart > 0)[-1]
+        assert found.settling[0, o, i] == pytest.approx(dense[k] + step_ * apart[k] / (apart[k] - apart[k + 1]), rel=1e-6)
+
+
+def test_a_coupled_batch_keeps_each_outcome():
+    """One output that settles, one that ramps; and a point that grows."""
+    plain, A = driven_integrator(), np.array([[[-3.0, 0], [1, 0]], [[3, 0], [1, 0]]])
+    C = np.array([[[1.0, 0], [0, 1.0], [0, 0]]])
+    two = replace(plain, times=np.zeros(2), A=A, B=plain.B.repeat(2, axis=0), C=C.repeat(2, axis=0), D=np.zeros((2, 3, 2)), output_names=("v", "x"))
+    found = steps(two, [0.0, 1.0])
+    assert found.outcome[:, :, 0].tolist() == [[Outcome.SETTLES, Outcome.RAMPS], [Outcome.GROWS, Outcome.GROWS]]
+    assert_allclose(found.settling[:, :, 0], [[np.log(50) / 3, np.inf], [np.nan, np.nan]], rtol=1e-9)
+    assert_allclose(found.steady_state[:, :, 0], [[1 / 3, np.inf], [np.nan, np.nan]], rtol=1e-12)
+    assert "1 of 2" in str(found) and "<table>" in found._repr_html_() and len(found) == 2
+
+
+def test_pairs_have_the_metrics_of_the_steps_between_them():
+    lin = ur5(*LOOPS["wrong model"], [0.0, 1.0])
+    found, every = pair_metrics(lin.opened, np.array([0, 3]), np.array([2, 3])), lin.steps([0.0])
+    for name in METRICS:
+        assert_allclose(found[name], getattr(every, name)[:, [2, 3], [0, 3]], rtol=1e-7 if name == "peak_time" else 1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [1, 4, 5, 8, 13])
+def test_responses_of_many_time_scales_do_not_disturb_each_other(seed):
+    """A stiff system with four outputs: together they share sections, alone each has its own; the metrics are those of the modal sum either way."""
+    A, b, c, d = drawn(seed)
+    rng, n = np.random.default_rng(seed), len(A)
+    C = np.stack([c, *(c * rng.normal(size=(3, n)))])
+    names = [tuple(f"{x}{i}" for i in range(k)) for x, k in (("x", n), ("u", 1), ("y", 4))]
+    system = OpenSystem(np.zeros(1), A[None], b[None, :, None], C[None], np.full((1, 4, 1), d), *names, {}, (), np.zeros(0), (), horizon=np.inf)
+    found = steps(system, [0.0])
+    for out in range(4):
+        alone = step(system, 0, 0, out, times=[0.0])
+        assert found.outcome[0, out, 0] is alone.outcome is Outcome.SETTLES
+        for name in ("steady_state", "overshoot", "undershoot", "peak"):
+            scale = alone.peak if name in ("peak", "steady_state") else 1 + alone.peak / abs(alone.steady_state)
+            assert_allclose(getattr(found, name)[0, out, 0], getattr(alone, name), rtol=0, atol=1e-8 * scale)
+        assert_allclose([found.rise[0, out, 0], found.settling[0, out, 0]], [alone.rise, alone.settling], rtol=1e-6)
+
+
+def test_no_pairs_have_no_metrics():
+    none = np.zeros(0, int)
+    assert pair_metrics(open_system(4 / s), none, none)["settling"].shape == (1, 0)
+
+
+def test_times_of_samples_are_checked():
+    system = open_system(4 / s)
+    t = np.array([0.0, 0.1, 0.7])
+    assert_allclose(step(system, 0, "d", "y", times=t).y, 1 - np.exp(-4 * t), atol=1e-12)
+    for bad in ([-0.1, 0.2], [0.2, 0.1], [np.nan], []):
+        with pytest.raises(BadArgument, match="times"):
+            steps(system, bad)
+    with pytest.raises(BadArgument, match="duration"):
+        step(system, 0, "d", "y", duration=1.0, times=t)
+    with pytest.raises(UnknownName, match="inputs"):
+        steps(system, t, inputs=["disturbance"])
+    with pytest.raises(BadArgument, match="outputs"):
+        steps(system, t, outputs=[])
+    with pytest.raises(UnknownName, match="output"):
+        steps(system, t)[0, "x", 0]
+    with pytest.raises(BadArgument, match="index"):
+        steps(system, t)[1, 0, 0]
+
+
+def test_many_points_keep_their_metrics_in_little_memory():
+    one = random_loops(np.random.default_rng(2), 1, 4, 2)
+    many = replace(one, times=np.zeros(100), **{k: np.repeat(getattr(one, k), 100, axis=0) for k in "ABCD"})
+    found = steps(many, [0.0, 1.0])
+    tracemalloc.start()
+    settling = found.settling
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert settling.shape == (100, one.ny, one.nu) and most < 10e6
+    assert_allclose(settling, np.broadcast_to(settling[:1], settling.shape), rtol=1e-12)

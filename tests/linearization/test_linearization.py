@@ -109,6 +109,11 @@ def test_step_responses_are_those_of_python_control() -> None:
     pushed = lin.step(0, "disturbance_joint", "q_joint")
     assert_allclose(pushed.steady_state, 0.0, atol=1e-9)  # the integral takes it
     assert_allclose(lin.step(0, 0, 0).y, found.y)
+    t = np.linspace(0.0, 1.0, 11)
+    every = lin.steps(t)
+    assert every.y.shape == (1, len(lin.output_names), len(lin.input_names), 11) and every.outputs == lin.output_names
+    assert_allclose(every.y[0], control.step_response(lin.system(0), T=t).outputs, atol=1e-6)
+    assert_allclose(lin.step(0, "q_d_joint", "q_joint", times=t).y, every[0, "q_joint", "q_d_joint"].y, atol=1e-12)
 
 
 def test_a_step_of_the_tool_reference_starts_with_the_whole_error() -> None:
@@ -171,6 +176,7 @@ def test_a_point_that_a_law_does_not_have_is_refused_with_those_it_has(case: Cas
     (lambda lin: lin.loop(0, channel=1), BadArgument, "channel"), (lambda lin: lin.loop(0, channel="elbow"), UnknownName, "channel"),
     (lambda lin: lin.step(0, "q_d_elbow", "q_joint"), UnknownName, "input"), (lambda lin: lin.step(0, 0, 99), BadArgument, "output"),
     (lambda lin: lin.step(0, 0, 0, duration=-1.0), BadArgument, "duration"), (lambda lin: lin.step(7, 0, 0), BadArgument, "index"),
+    (lambda lin: lin.steps([1.0, 0.5]), BadArgument, "times"), (lambda lin: lin.steps([1.0], ["q_d_elbow"]), UnknownName, "inputs"),
     (lambda lin: lin.frequency_response([-1.0]), BadArgument, "frequencies"),
     (lambda lin: lin.frequency_response([np.nan]), BadArgument, "frequencies"),
 ])  # fmt: skip

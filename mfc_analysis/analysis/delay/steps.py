@@ -23,13 +23,18 @@ MOST_STEPS = 500_000
 CUBIC = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-3, -2, 3, -1], [2, 1, -2, 1]])
 
 
-def delayed_runner(system: OpenSystem, into: int, out: int) -> Callable[[float, int], Piece]:
-    """The run (duration, samples) of a unit step from input number ``into`` to output number ``out``, for a system with one point."""
+def delayed_runner(system: OpenSystem) -> Callable[[float, int], Piece]:
+    """The run (duration, samples) of unit steps of every input, for a system with one point.
+
+    Its responses are those of output 0 to all inputs, then of output 1, ...
+    """
     late = system.wire_delay > 0
     A, B, C, D = (x[0] for x in close_wires(system, keep=late))
     T = system.wire_delay[late]
     longest = longest_step(system)
     nu, ny = system.nu, system.ny
+    columns = np.concatenate([nu + np.arange(T.size), np.arange(nu)])
+    rows = np.concatenate([ny + np.arange(T.size), np.arange(ny)])
 
     def run(duration: float, samples: int) -> Piece:
         wanted = min(duration / samples, longest)
@@ -37,11 +42,10 @@ def delayed_runner(system: OpenSystem, into: int, out: int) -> Callable[[float, 
         steps = int(np.ceil(duration / h * (1 - 1e-12)))
         if steps > MOST_STEPS:
             raise BadArgument("duration", duration, f"at most {MOST_STEPS * h:.4g} s: the dead time of {T.min():.4g} s needs steps of {h:.3g} s")
-        wire_rows = np.concatenate([np.flatnonzero(np.arange(len(C)) >= ny), [out]])
-        columns = np.concatenate([nu + np.arange(T.size), [into]])
-        table = _one_step(A, B[:, columns], C[wire_rows], D[np.ix_(wire_rows, columns)], h)
-        y = _marched(table, len(A), T, h, steps)
-        return Piece(h * np.arange(steps + 1), y * [1.0, h, 1.0, h] @ CUBIC.T)
+        table = _one_step(A, B[:, columns], C[rows], D[np.ix_(rows, columns)], h, nu)
+        y = _marched(table, len(A), T, h, steps, nu)
+        y[1::2] *= h
+        return Piece(h * np.arange(steps + 1), y, CUBIC)
 
     return run
 
@@ -52,10 +56,10 @@ def longest_step(system: OpenSystem) -> float:
     return max(0.05 / max(fastest, 1e-300), float(system.wire_delay[system.wire_delay > 0].min()) / FINEST)
 
 
-def _one_step(A: Array, B: Array, C: Array, D: Array, h: float) -> Array:
+def _one_step(A: Array, B: Array, C: Array, D: Array, h: float, nu: int) -> Array:
     """Matrix from the start of a step, [x; v0, v0', v1, v1' of each wire; u], to [x at its end; w0, w0', w1, w1' of each output].
 
-    B, D: columns of the delayed wires, then u; C, D: rows of the signals into the wires, then y.
+    B, D: columns of the delayed wires, then of ``nu`` inputs; C, D: rows of the signals into the wires, then y.
     """
     from scipy.linalg import expm
 
@@ -65,11 +69,11 @@ def _one_step(A: Array, B: Array, C: Array, D: Array, h: float) -> Array:
     chain[nx : nx + 3 * k, nx + k :] = np.eye(3 * k)
     move = expm(chain * h)[:nx]
     hermite = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-6 / h**2, -4 / h, 6 / h**2, -2 / h], [12 / h**3, 6 / h**2, -12 / h**3, 6 / h**2]])
-    size = nx + 4 * (k - 1) + 1
+    size = nx + 4 * (k - nu) + nu
     ends = np.zeros((4, k, size))  # v0, v0', v1, v1' of every input
-    for j in range(k - 1):
+    for j in range(k - nu):
         ends[:, j, nx + 4 * j : nx + 4 * j + 4] = np.eye(4)
-    ends[0, -1, -1] = ends[2, -1, -1] = 1.0
+    ends[0, k - nu :, size - nu :] = ends[2, k - nu :, size - nu :] = np.eye(nu)
     derivatives = np.einsum("de,eks->dks", hermite, ends).reshape(4 * k, size)
     start = np.eye(nx, size)
     end = move[:, :nx] @ start + move[:, nx:] @ derivatives
@@ -80,30 +84,31 @@ def _one_step(A: Array, B: Array, C: Array, D: Array, h: float) -> Array:
     return np.concatenate([rows[0], np.stack(rows[1:]).reshape(shape).transpose(1, 0, 2).reshape(-1, size)])
 
 
-def _marched(table: Array, nx: int, T: Array, h: float, steps: int) -> Array:
-    """(steps, 4): y and its slope at the start and at the end of each step, from rest."""
+def _marched(table: Array, nx: int, T: Array, h: float, steps: int, nu: int) -> Array:
+    """(4, ny * nu, steps): each y and its slope at the start and at the end of each step, from rest."""
     nd = T.size
     back = np.ceil(T / h * (1 - 1e-12)).astype(int)
     late = back - T / h
     late = np.where(np.abs(late) < 1e-9, 0.0, late)
     first, second = (np.stack([m[i] for m in (_shifted(f, h) for f in late)]) for i in (0, 1))
     deep = int(back.max())
-    past = np.zeros((steps + deep + 1, nd, 4))
-    y = np.empty((steps, 4))
-    now = np.zeros(table.shape[1])
-    now[-1] = 1.0
+    past = np.zeros((steps + deep + 1, nd, 4, nu))
+    wired = nx + 4 * nd  # rows of the states and of the wires
+    y = np.empty((steps, len(table) - wired, nu))
+    now = np.zeros((table.shape[1], nu))
+    now[wired:] = np.eye(nu)
     wires, whole = np.arange(nd), not late.any()
     for k in range(steps):
         which = k + deep - back
         arriving = past[which, wires]
         if not whole:
-            arriving = np.einsum("jab,jb->ja", first, arriving) + np.einsum("jab,jb->ja", second, past[np.minimum(which + 1, k + deep - 1), wires])
-        now[nx:-1] = arriving.ravel()
+            arriving = first @ arriving + second @ past[np.minimum(which + 1, k + deep - 1), wires]
+        now[nx:wired] = arriving.reshape(-1, nu)
         out = table @ now
         now[:nx] = out[:nx]
-        past[k + deep] = out[nx:-4].reshape(nd, 4)
-        y[k] = out[-4:]
-    return y
+        past[k + deep] = out[nx:wired].reshape(nd, 4, nu)
+        y[k] = out[wired:]
+    return np.ascontiguousarray(y.reshape(steps, -1, 4, nu).transpose(2, 1, 3, 0)).reshape(4, -1, steps)
 
 
 def _shifted(f: float, h: float) -> tuple[Array, Array]:
