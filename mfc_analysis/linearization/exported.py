@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from mfc_analysis.analysis.channels import channels
+from mfc_analysis.analysis.frequency.response import frequency_response
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import UnknownName
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 
 
 def closed_model(system: OpenSystem) -> Any:
@@ -36,6 +38,18 @@ def loop_model(system: OpenSystem, at: str, channel: int | str | None) -> Any:
         A - np.outer(b, c) / through, b[:, None] / through, -c[None, :] / through, [[1 / through - 1]], system.dt,
         inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"], name=_named(f"L_{at}_{names[j]}", system),
     )  # fmt: skip
+
+
+def measured_model(system: OpenSystem, frequencies: Array, at: str, channel: int | str | None) -> Any:
+    """L(jw) of the same loop at w (k,) [rad/s] as ``control.FrequencyResponseData``, dead time included. Raises UnknownName."""
+    import control
+
+    names = tuple(channels(system, at).names)
+    j = _number(channel, names)
+    L = frequency_response(system, frequencies, at)[0, j]
+    return control.frd(
+        L, frequencies, inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"], name=f"L_{at}_{names[j]}".replace(".", "_"), smooth=False
+    )
 
 
 def _named(name: str, system: OpenSystem) -> str:

@@ -17,7 +17,7 @@ from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, c
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import Coordinates, External, closed_matrix, closed_system, external, open_system, without_wires
 from mfc_analysis.dynamics.operating_point import CHUNK, OperatingPoint, chunks, nominal, residual
-from mfc_analysis.errors import BadArgument, UnknownPoint, Unsupported
+from mfc_analysis.errors import UnknownPoint, Unsupported
 from mfc_analysis.linearization.chunks import checked_jobs, each, joined
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
 from mfc_analysis.linearization.start import About, chosen_coordinates, operating_points
@@ -286,11 +286,16 @@ class Linearization:
         """(m, n, nf) loop transfer functions L_i(j w) at w [rad/s], each opened alone; dead time included. Raises UnknownPoint."""
         from mfc_analysis.analysis.frequency.response import frequency_response
 
-        w = checks.vector("frequencies", frequencies, "finite frequencies >= 0 [rad/s]")
-        if np.any(w < 0):
-            raise BadArgument("frequencies", frequencies, "finite frequencies >= 0 [rad/s]")
+        w = checks.frequencies(frequencies)
         at = self._at(at)
         return frequency_response(self.opened_for(at), w, at)
+
+    def frd(self, frequencies: ArrayLike, at: str | None = None, channel: int | str | None = None, index: int = 0) -> Any:
+        """L(jw) at w [rad/s] of one channel at one time as ``control.FrequencyResponseData``, dead time included. Raises as ``loop``."""
+        from mfc_analysis.linearization.exported import measured_model
+
+        at = self._at(at)
+        return measured_model(self._alone(self.opened_for(at), index, None), checks.frequencies(frequencies), at, channel)
 
     def step(
         self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None, *, times: ArrayLike | None = None

@@ -117,6 +117,15 @@ def times(value: Any, argument: str = "times") -> Array:
     return out
 
 
+def frequencies(value: Any) -> Array:
+    """(k,) finite frequencies >= 0 [rad/s]."""
+    takes = "finite frequencies >= 0 [rad/s]"
+    w = vector("frequencies", value, takes)
+    if np.any(w < 0):
+        raise BadArgument("frequencies", value, takes)
+    return w
+
+
 def per_joint(argument: str, value: Any, n: int, *, low: float = -np.inf) -> Array:
     """A scalar or (n,) array, broadcast to (n,), finite and >= low."""
     out = array(argument, value)

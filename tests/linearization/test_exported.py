@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
 from mfc_analysis.analysis.system import close_wires
-from mfc_analysis.errors import UnknownName
+from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.linearization.exported import closed_model, loop_model
 from mfc_analysis.linearization.linearization import Linearization
 
@@ -50,3 +50,18 @@ def test_models_are_the_matrices_of_their_point() -> None:
     assert model.input_labels == list(lin.input_names) and model.output_labels == list(lin.output_names)
     with pytest.raises(UnknownName, match="channel"):
         loop_model(one, "torque", "elbow")
+
+
+def test_frequency_response_data_is_that_of_the_loop_with_dead_time() -> None:
+    lin = late()
+    exact, names = lin.frequency_response(W, "command"), lin.margins("command").channels
+    data = lin.frd(W, "command", names[2], index=1)
+    assert_allclose(np.asarray(data.frdata)[0, 0], exact[1, 2], rtol=0, atol=0)
+    assert_allclose(np.asarray(data.omega), W)
+    assert data.name == f"L_command_{names[2]}" and data.input_labels == [f"command_{names[2]}_in"]
+    dense = lin.frd(np.geomspace(0.1, 1000, 20_000), "command", names[2], index=1)
+    found, margins = mfc.margins(dense), lin.margins("command")
+    assert_allclose(found.phase_deg[0, 0], margins.phase_deg[1, 2], rtol=1e-4)
+    assert_allclose(found.delay[0, 0], margins.delay[1, 2], rtol=1e-4)
+    with pytest.raises(BadArgument, match="frequencies"):
+        lin.frd([-1.0])

@@ -136,3 +136,10 @@ def test_a_text_is_a_number_in_plain_decimals_only() -> None:
         assert checks.decimal(text) == float(text)
     for text in ("", " 2", "2 ", "2\n", "2_0", "\uff12", "\u0662", "1,5", "nan", "inf", "-inf", "0x10", "1e", "e5", ".", "+", "1e400", "--1", "1d3"):
         assert checks.decimal(text) is None
+
+
+def test_frequencies_are_finite_and_not_negative():
+    assert checks.frequencies([0, 2.5]).tolist() == [0.0, 2.5]
+    for wrong in ([-1.0], [np.inf], [[1.0, 2.0]], "fast"):
+        with pytest.raises(BadArgument, match="frequencies"):
+            checks.frequencies(wrong)
