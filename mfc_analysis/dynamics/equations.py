@@ -221,6 +221,13 @@ class Equations:
         """The slots as one state."""
         return concatenate([slots[name] for name in self.parts])
 
+    def state_rates(self, slots: Mapping[str, Vector], lead: tuple[int, ...] = ()) -> Array:
+        """x' (*lead, nx) for plain arrays, where only some of the slots have rates; the others have none."""
+        out = np.zeros((*lead, self.nx))
+        for name, rate in slots.items():
+            out[..., self.parts[name].where] = value(rate)
+        return out
+
     # --- the reference -------------------------------------------------------------------------------------------
 
     def reference(self, t: float | Array, inputs: Inputs | None = None) -> JointReference | ToolReference:

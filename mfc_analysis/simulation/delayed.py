@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement, pairwise
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
-from mfc_analysis.dynamics.equations import Inputs, Wires
+from mfc_analysis.dynamics.equations import Inputs, Wires, timed
 from mfc_analysis.errors import MfcError
-from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.dual import Vector, value
-from mfc_analysis.simulation.run import Run
+from mfc_analysis.simulation.run import HELD, Outcome, Piece, Run
+from mfc_analysis.simulation.sampled import own_matrix
 
 #: Chebyshev-Lobatto points on [0, 1], at which the signals of a segment are recorded for later segments
 NODES = 0.5 * (1 - np.cos(np.pi * np.arange(9) / 8))
@@ -23,7 +25,24 @@ ASIDE = 1e-6
 ORDERS = 5
 #: evaluations of the equations that take about as long as the recording of a segment
 RECORDING = 4
+#: largest norm of A_own h at which the controller's own states are found after those of the plant, segment by segment
+COUPLED = 0.1
+#: repetitions of that until they agree, and how closely: part of the solver's tolerance
+REPEATED, AGREED = 30, 0.01
 _WEIGHTS = np.array([0.5, -1, 1, -1, 1, -1, 1, -1, 0.5])
+_CHEBYSHEV = chebyshev.chebvander(2 * NODES - 1, 8)
+#: (9, 9) from samples at the nodes to the integrals from 0 to the nodes
+INTEGRALS = 0.5 * chebyshev.chebval(2 * NODES - 1, chebyshev.chebint(np.eye(9), lbnd=-1.0)).T @ np.linalg.inv(_CHEBYSHEV)
+
+
+def at_nodes(s: Array) -> Array:
+    """(..., 9) weights of the samples at the nodes, for their polynomial at s (...,) in [0, 1]."""
+    apart = s[..., None] - NODES
+    hit = np.abs(apart) < 1e-12
+    w = _WEIGHTS / np.where(hit, 1.0, apart)
+    if hit.any():
+        w = np.where(hit.any(axis=-1, keepdims=True), hit, w)
+    return np.asarray(w / w.sum(axis=-1, keepdims=True))
 
 
 class History:
@@ -38,7 +57,7 @@ class History:
     def add(self, start: float, length: float, samples: Array) -> None:
         self.starts.append(start)
         self.lengths.append(length)
-        self.samples.append(samples)
+        self.samples.append(samples.reshape(len(NODES), -1))
 
     def at(self, t: float, towards: float = 0.0) -> Array:
         """The signal at t [s]; where it jumps, on the side ``towards`` [s] from there."""
@@ -46,11 +65,27 @@ class History:
         if side < self.t0 or not self.starts:
             return self.first
         i = max(bisect_right(self.starts, side) - 1, 0)
-        apart = (t - self.starts[i]) / self.lengths[i] - NODES
-        if np.abs(apart).min() < 1e-12:
-            return np.asarray(self.samples[i][int(np.abs(apart).argmin())], float)
-        w = _WEIGHTS / apart
-        return np.asarray(np.tensordot(w / w.sum(), self.samples[i], axes=1))
+        return np.asarray(np.dot(at_nodes(np.asarray((t - self.starts[i]) / self.lengths[i])), self.samples[i])).reshape(self.first.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class WithOwn:
+    """Dense output of a segment: the plant by the solver, the controller's own states by the polynomials through the nodes."""
+
+    nx: int  #: states of one run
+    plant: Piece
+    begin: float  #: [s]
+    length: float  #: [s]
+    own: Ints  #: (r,) indices of the controller's states
+    samples: Array  #: (9, ..., r)
+
+    def __call__(self, t: float | Array) -> Array:
+        out = np.array(self.plant(t))
+        w = at_nodes((np.atleast_1d(t) - self.begin) / self.length)
+        own = np.tensordot(w, self.samples, axes=1)  # (m, ..., r)
+        each = out.reshape(*self.samples.shape[1:-1], self.nx, -1)
+        each[..., self.own, :] = np.moveaxis(own, 0, -1)
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,14 +102,19 @@ class Late:
 def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
     """Method of steps on ``segments``: every signal that arrives in a segment was sent in an earlier one, and has no kink within it.
 
-    A touch or a lift ends a segment too, and so do its echoes: the force jumps there.
+    A touch or a lift ends a segment too, and so do its echoes: the force jumps there. Where the commands arrive late, nothing of the law acts
+    on the plant within a segment. The solver then sees the plant alone, and the law is evaluated at the nodes of the segment: for the record of
+    its commands, and for its own states, which are the integrals of their rates there.
     """
     e = run.equations
     delays = e.delays
     start, end = float(asked[0]), float(asked[-1])
-    wires = Wires()
-    e.flow(start, x0, wires, run.inputs(start), lose_contact=run.lose_contact)
-    history = {name: History(start, np.array(value(wires.recorded[name]))) for name in delays}
+    first, wires = run.states(x0), Wires()
+    sizes, lead = e.wire_sizes(), first.shape[:-1]
+    e.flow(run.times(start), first, wires, run.inputs(start), lose_contact=run.lose_contact)
+    history = {name: History(start, np.array(np.broadcast_to(value(wires.recorded[name]), (*lead, sizes[name])))) for name in delays}
+    own = np.setdiff1d(np.arange(e.nx), np.array(e.plant_states, int))
+    apart = e.actuator in delays and float(np.abs(own_matrix(e, start, first)).sum(axis=-1).max(initial=0.0)) * min(delays.values()) < COUPLED
 
     middle = start  # of the segment under way
 
@@ -85,23 +125,44 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
         run.arrived = Late(history[e.actuator], delays[e.actuator])
 
     def rates(t: float, x: Array) -> Array:
-        rates_now: Array = value(e.join(e.flow(t, x, Wires(arriving(t)), run.inputs(t), lose_contact=run.lose_contact).rates))
-        return rates_now
+        if apart:
+            return run.plant_rates(t, x, history[e.actuator].at(t - delays[e.actuator], middle - t))
+        return run.rates(t, x, Wires(arriving(t)))
 
-    def record(begin: float, stop: float) -> None:
-        run.spent += RECORDING
-        t = begin + NODES * (stop - begin)
-        states = np.stack([run.path.at(float(ti)) for ti in t])
-        recorded = Wires(
-            {name: np.stack([history[name].at(float(ti) - d, 0.5 * (begin + stop) - float(ti)) for ti in t]) for name, d in delays.items()}
-        )
+    def record(begin: float, stop: float, x: Array) -> Array:
+        run.spent += RECORDING * run.weight
+        length = stop - begin
+        t = begin + NODES * length
+        each = t if not lead else np.repeat(t[:, None], lead[0], axis=1)
+        states = run.path.along(t).reshape(len(t), *first.shape)
+        late = {name: np.stack([history[name].at(ti - d, begin + 0.5 * length - ti) for ti in t.tolist()]) for name, d in delays.items()}
         try:
-            e.flow(t, states, recorded, Inputs(), lose_contact=run.lose_contact)
+            repeated, recorded = 0, Wires(late)
+            while True:
+                with timed(each):
+                    s = e.split(states)
+                    action, changes = e.control(each, s, e.touch(s, lose_contact=run.lose_contact).wrench, recorded, Inputs())
+                if not apart or not own.size:
+                    break
+                before = states[..., own]
+                found = before[:1] + length * np.tensordot(INTEGRALS, e.state_rates(changes, states.shape[:-1])[..., own], axes=1)
+                states[..., own] = found
+                if np.abs(found - before).max() <= AGREED * (run.options["atol"] + run.options["rtol"] * np.abs(found).max()):
+                    break
+                repeated += 1
+                if repeated == REPEATED:
+                    run.stop(Outcome.SOLVER, begin, "the states of the law do not converge within the dead time")
+                    break
         except MfcError as why:
             run.refuse(stop, why)
-            return
+            return x
+        recorded.recorded[e.actuator] = action.command
         for name in delays:
-            history[name].add(begin, stop - begin, np.array(np.broadcast_to(value(recorded.recorded[name]), (len(t), history[name].first.size))))
+            history[name].add(begin, length, np.array(np.broadcast_to(value(recorded.recorded[name]), (len(t), *lead, sizes[name]))))
+        if apart and own.size:
+            run.path.pieces[-1] = WithOwn(e.nx, run.path.pieces[-1], begin, length, own, states[..., own])
+            run.states(x)[..., own] = states[-1][..., own]
+        return x
 
     x, late, least = x0, echoes(list(delays.values())), min(delays.values())
     marks: list[float] = []  #: [s] echoes of touch and lift that are still to come
@@ -109,7 +170,7 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
         marks = [mark for mark in marks if mark > begin]
         for a, b in pairwise(edges(begin, stop, marks, least)):
             middle, known = 0.5 * (a + b), len(run.events)
-            reached = run.integrate(rates, a, b, x, short=True, record=record)
+            reached = run.integrate(rates, a, b, x, short=True, cost=HELD if apart else 1.0, record=record)
             if reached is None:
                 return
             x = reached

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -12,12 +13,14 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from mfc_analysis.dynamics.environment import LoseContact
-from mfc_analysis.dynamics.equations import Equations, Inputs
+from mfc_analysis.dynamics.equations import NO_WRENCH, Equations, Inputs, Wires
 from mfc_analysis.errors import BadArgument, MfcError
-from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.arrays import Array, Ints
+from mfc_analysis.maths.dual import value
 from mfc_analysis.simulation.touching import Event, Touching
 
 Disturbance = Callable[[float], Array]
+Piece = Callable[[Any], Array]  #: t -> (nx,); (m,) times -> (nx, m)
 Guard = Callable[[Callable[[float, Array], Array], float], Callable[[float, Array], Array]]
 
 
@@ -48,6 +51,9 @@ HELD = 0.25  #: evaluations that take about as long as one of the plant alone, u
 CONTACT_STEP = 2e-3  #: [s] longest step where contact can be lost, so that no short contact is missed
 
 
+TOGETHER, EACH = 2.0, 0.15  #: time of an evaluation of several runs at once, and that of each of them, in evaluations of one run
+
+
 def cost(e: Equations) -> float:
     """Time of one evaluation, in evaluations of a joint law without surfaces."""
     law = "tool force" if e.law.space == "tool" and e.law.senses_force else e.law.space
@@ -74,24 +80,40 @@ class DenseOutput:
 
     def __init__(self, t0: float, x0: Array) -> None:
         self.starts: list[float] = [t0]
-        self.pieces: list[Callable[[float], Array]] = []
+        self.pieces: list[Piece] = []
         self.first = x0
 
-    def add(self, end: float, piece: Callable[[float], Array]) -> None:
+    def add(self, end: float, piece: Piece) -> None:
         self.pieces.append(piece)
         self.starts.append(end)
 
     def at(self, t: float) -> Array:
+        """The state (nx,) at one time."""
         if t <= self.starts[0] or not self.pieces:
             return self.first
         late = t + 1e-12 * max(1.0, abs(t))  # at a sampling instant: what the law holds after it
-        i = min(max(int(np.searchsorted(self.starts, late, side="right")) - 1, 0), len(self.pieces) - 1)
+        i = min(max(bisect_right(self.starts, late) - 1, 0), len(self.pieces) - 1)
         return np.asarray(self.pieces[i](min(t, self.starts[i + 1])))
+
+    def along(self, times: Array) -> Array:
+        """The states (m, nx) at times (m,), in one call for all that lie in the same piece."""
+        out = np.empty((len(times), *self.first.shape))
+        late = times + 1e-12 * np.maximum(1.0, np.abs(times))
+        of = np.clip(np.searchsorted(self.starts, late, side="right") - 1, 0, max(len(self.pieces) - 1, 0))
+        of[(times <= self.starts[0]) | (not self.pieces)] = -1
+        for i in np.unique(of):
+            out[of == i] = self.first if i < 0 else self.pieces[i](np.minimum(times[of == i], self.starts[i + 1])).T
+        return out
 
 
 @dataclass(eq=False)
 class Run:
-    """One run in progress: the part that the three integration methods share."""
+    """One run in progress: the part that the three integration methods share.
+
+    Or ``count`` runs from different starts, integrated together as one state (count nx,). Each keeps to the tolerances by itself: the norm of
+    LSODA is the largest error of any state; that of the Runge-Kutta methods is a mean, so their tolerances shrink with sqrt(count).
+    Where one of them stops, all do.
+    """
 
     equations: Equations
     disturbance: Disturbance | None
@@ -100,6 +122,7 @@ class Run:
     events: list[Event]
     end: float = np.inf  #: [s] where the run is to end
     most: int = MOST  #: evaluations allowed
+    count: int | None = None  #: of the runs that are integrated together; None: one alone
     spent: float = 0.0  #: evaluations so far
     outcome: Outcome = Outcome.FINISHED
     message: str = Outcome.FINISHED.value
@@ -116,6 +139,49 @@ class Run:
     def price(self) -> float:
         return cost(self.equations)
 
+    @cached_property
+    def weight(self) -> float:
+        """Time of an evaluation, in evaluations of one run."""
+        return 1.0 if self.count is None else TOGETHER + EACH * self.count
+
+    @cached_property
+    def _watched(self) -> Ints:
+        """Indices of the positions and velocities of all runs."""
+        parts, nx = self.equations.parts, self.equations.nx
+        one = np.concatenate([np.arange(nx)[parts[name].where] for name in ("q", "v", "theta", "omega") if name in parts])
+        return np.asarray(np.ravel(one + nx * np.arange(self.count or 1)[:, None]), int)
+
+    def farthest(self, x: Array) -> float:
+        """[rad, m, rad/s, m/s] largest position or velocity in a state of the solver."""
+        return float(np.abs(x[self._watched]).max())
+
+    def states(self, x: Array) -> Array:
+        """(nx,) the state, or (count, nx) those of all runs, from a state of the solver."""
+        return x if self.count is None else x.reshape(self.count, -1)
+
+    def times(self, t: float) -> float | Array:
+        """[s] of each of the states."""
+        return t if self.count is None else np.full(self.count, t)
+
+    def rates(self, t: float, x: Array, wires: Wires | None = None) -> Array:
+        """Rates of the whole loop, for the solver."""
+        e = self.equations
+        found = e.flow(self.times(t), self.states(x), wires, self.inputs(t), lose_contact=self.lose_contact)
+        return np.ravel(value(e.join(found.rates)))
+
+    def plant_rates(self, t: float, x: Array, drive: Array) -> Array:
+        """Rates for the solver of the plant alone, under the command that arrives at the joints; those of the controller's states are 0."""
+        e = self.equations
+        states = self.states(x)
+        s = e.split(states)
+        F = e.touch(s, lose_contact=self.lose_contact).wrench if e.surfaces else NO_WRENCH
+        moved = e.move(s, drive, F, 0.0 if self.disturbance is None else self.disturbance(t))
+        return np.ravel(e.state_rates(moved, states.shape[:-1]))
+
+    def held(self, drive: Array) -> Callable[[float, Array], Array]:
+        """``plant_rates`` under a command that does not change."""
+        return lambda t, x: self.plant_rates(t, x, drive)
+
     def inputs(self, t: float) -> Inputs:
         return Inputs() if self.disturbance is None else Inputs(disturbance=self.disturbance(t))
 
@@ -126,20 +192,21 @@ class Run:
 
     def integrate(
         self, rates: Callable[[float, Array], Array], start: float, end: float, x: Array, jac: Any = None, short: bool = False, cost: float = 1.0,
-        record: Callable[[float, float], None] | None = None,
+        record: Callable[[float, float, Array], Array] | None = None,
     ) -> Array | None:  # fmt: skip
         """Integrates from start to end and adds to the path. Returns the final state, None where the run has stopped.
 
         Where contact is made or lost a piece ends and the solver starts again, so that no step contains a jump of the force.
         ``short``: one of many short segments. These use explicit Runge-Kutta, since a multistep method would restart on each.
-        ``cost``: of the rates, in evaluations of the equations. ``record(begin, stop)`` sees each piece before contact changes.
+        ``cost``: of the rates, in evaluations of the equations. ``record(begin, stop, x)`` sees each piece before contact changes, and returns its
+        last state.
         """
         now: Array | None = x
         while now is not None:
             begin, now = start, self._piece(rates, start, end, now, jac, short, cost)
             start = self.path.starts[-1]
             if now is not None and record is not None:
-                record(begin, start)
+                now = record(begin, start, now)
                 now = now if self.outcome is Outcome.FINISHED else None
             if now is not None and self.touching is not None and self._changed:
                 self.events += self.touching.switch(start, now)
@@ -163,6 +230,11 @@ class Run:
             options.update(method="DOP853" if options["rtol"] < 1e-8 else "RK45", first_step=end - start)
         if self.touching is not None:
             options["max_step"] = CONTACT_STEP
+        if self.count is not None:
+            if options["method"] == "LSODA":
+                options["lband"] = options["uband"] = self.equations.nx - 1
+            else:
+                options.update({name: options[name] / np.sqrt(self.count) for name in ("rtol", "atol")})
 
         def solve(guard: Guard, options: dict[str, Any]) -> Any:
             f = guard(rates, cost + SOLVER[options["method"]] / self.price)
@@ -176,6 +248,9 @@ class Run:
             try:
                 found = solve(self._stopping, options)
             except _Stop:  # perhaps only the trial step is too long: retry with a method that shortens it
+                if self.count is not None:
+                    self.stop(Outcome.REFUSED, start, str(self.refused))
+                    return None
                 found = solve(self._or_nan, {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
         except _Endless:
             self._give_up(start)
@@ -193,7 +268,7 @@ class Run:
             self.stop(outcome, float(found.t[-1]), str(self.refused or found.message))
             return None
         self.refused = None
-        return np.asarray(found.y[:, -1])
+        return np.array(found.y[:, -1])
 
     def _stopping(self, rates: Callable[[float, Array], Array], cost: float) -> Callable[[float, Array], Array]:
         def guarded(t: float, x: Array) -> Array:
@@ -225,7 +300,7 @@ class Run:
         return counted
 
     def _spend(self, work: float) -> None:
-        self.spent += work
+        self.spent += work * self.weight
         if self.spent > self.most + STEP:
             raise _Endless
 
@@ -253,15 +328,11 @@ class Run:
         return left
 
     def _far(self) -> Any:
-        watch = np.concatenate(
-            [np.arange(where.start, where.stop) for name, (where, _) in self.equations.parts.items() if name in ("q", "v", "theta", "omega")]
-        )
+        def left(t: float, x: Array) -> float:
+            return FAR - self.farthest(x)
 
-        def far(t: float, x: Array) -> float:
-            return FAR - float(np.abs(x[watch]).max())
-
-        far.terminal = True  # type: ignore[attr-defined]  # solve_ivp reads it there
-        return far
+        left.terminal = True  # type: ignore[attr-defined]  # solve_ivp reads it there
+        return left
 
 
 def bounded(rates: Array) -> Array:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, timed
 from mfc_analysis.errors import MfcError
-from mfc_analysis.maths.arrays import Array, Ints
-from mfc_analysis.maths.dual import Dual, Vector, value
+from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.dual import Dual, times, value
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 from mfc_analysis.simulation.run import HELD, Run
 
@@ -33,8 +32,8 @@ class Constant:
 
     x: Array  #: (nx,)
 
-    def __call__(self, t: float) -> Array:
-        return self.x
+    def __call__(self, t: float | Array) -> Array:
+        return self.x if np.ndim(t) == 0 else np.repeat(self.x[:, None], np.size(t), axis=1)
 
 
 def run_sampled(run: Run, asked: Array, x0: Array) -> None:
@@ -45,7 +44,7 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
     start, end = float(asked[0]), float(asked[-1])
     plant = np.array(e.plant_states, int)
     own = np.setdiff1d(np.arange(e.nx), plant)
-    advance = own_states_step(e, start, x0, T)
+    advance = own_states_step(e, start, run.states(x0), T)
     x = x0.copy()
     sent: list[Array] = []  # commands of the samples so far
     whole, rest = int(np.floor(delay / T + 1e-9)), 0.0
@@ -54,65 +53,46 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
     count = max(int(np.ceil((end - start) / T - 1e-9)), 1)
     for k in range(count):
         t = start + k * T
-        s = e.split(x)
-        read = e.split(run.path.at(max(t - force_delay, start))) if force_delay else s
+        states = run.states(x)
+        s = e.split(states)
+        read = e.split(run.states(run.path.at(max(t - force_delay, start)))) if force_delay else s
         F = value(e.touch(read, lose_contact=True).wrench)
         try:
             with timed(t):
-                action, rates = e.control(t, s, F, Wires(), Inputs())
+                action, rates = e.control(run.times(t), s, F, Wires(), Inputs())
         except MfcError as why:
             run.refuse(t, why)
             return
-        sent.append(np.array(value(action.command)))
-        own_next = x[own] + advance @ _own_rates(run, rates, own) if own.size else x[own]
+        sent.append(np.array(np.broadcast_to(value(action.command), (*states.shape[:-1], e.n))))
+        own_next = states[..., own] + times(advance, e.state_rates(rates, states.shape[:-1])[..., own]) if own.size else states[..., own]
         before, now = sent[max(k - whole - 1, 0)], sent[max(k - whole, 0)]
         switches = [(t, t + rest, before), (t + rest, t + T, now)] if rest else [(t, t + T, now)]
         for begin, stop, held in switches:
             if begin >= end - 1e-12:
                 break
-            moved = run.integrate(_held_rates(run, held), begin, min(stop, end), x, short=True, cost=HELD)
+            moved = run.integrate(run.held(held), begin, min(stop, end), x, short=True, cost=HELD)
             if moved is None:
                 return
             x = moved
-        x[own] = own_next
+        run.states(x)[..., own] = own_next
     if start + count * T - end < 1e-9 * T:  # the run ends at a sampling instant: the law's own states have advanced
         run.path.add(end, Constant(x))
 
 
-def _held_rates(run: Run, held: Array) -> Callable[[float, Array], Array]:
-    e = run.equations
-
-    def rates(t: float, x: Array) -> Array:
-        s = e.split(x)
-        d = 0.0 if run.disturbance is None else run.disturbance(t)
-        moved = e.move(s, held, e.touch(s, lose_contact=run.lose_contact).wrench if e.surfaces else np.zeros(6), d)
-        out = np.zeros(e.nx)
-        for name, rate in moved.items():
-            out[e.parts[name].where] = value(rate)
-        return out
-
-    return rates
-
-
-def _own_rates(run: Run, rates: dict[str, Vector], own: Ints) -> Array:
-    e = run.equations
-    out = np.zeros(e.nx)
-    for name, rate in rates.items():
-        out[e.parts[name].where] = value(rate)
-    return np.asarray(out[own], float)
-
-
 def own_states_step(e: Equations, t: float, x0: Array, T: float) -> Array:
-    """The matrix that takes the rates of the law's own states to their change over a sample with inputs held: T phi_1(T A_own)."""
+    """The matrix (..., k, k) that takes the rates of the law's own states to their change over a sample with inputs held: T phi_1(T A_own)."""
+    A = own_matrix(e, t, x0)
+    return np.asarray(zero_order_hold(A, np.eye(A.shape[-1]), T)[1]) if A.size else A
+
+
+def own_matrix(e: Equations, t: float, x0: Array) -> Array:
+    """A_own (..., k, k): the rates of the controller's k states by these states, at x0 (..., nx)."""
     own = np.setdiff1d(np.arange(e.nx), np.array(e.plant_states, int))
-    k = own.size
-    if k == 0:
-        return np.zeros((0, 0))
-    tangent = np.zeros((e.nx, k))
-    tangent[own, np.arange(k)] = 1.0
-    _, rates = e.control(t, e.split(Dual(x0, tangent)), value(e.touch(e.split(x0)).wrench), Wires(), Inputs())
-    A = np.zeros((e.nx, k))
+    tangent = np.zeros((*x0.shape, own.size))
+    tangent[..., own, np.arange(own.size)] = 1.0
+    _, rates = e.control(np.full(x0.shape[:-1], t), e.split(Dual(x0, tangent)), value(e.touch(e.split(x0)).wrench), Wires(), Inputs())
+    A = np.zeros((*x0.shape, own.size))
     for name, rate in rates.items():
         if isinstance(rate, Dual):
-            A[e.parts[name].where] = rate.tangent
-    return np.asarray(zero_order_hold(A[own][None], np.eye(k)[None], T)[1][0])
+            A[..., e.parts[name].where, :] = rate.tangent
+    return A[..., own, :]

@@ -67,7 +67,7 @@ class Simulation:
         times = checks.vector("times", t)
         if times.size == 0 or np.any(times < self.t[0] - 1e-12) or np.any(times > self.t[-1] + 1e-12):
             raise BadArgument("times", t, f"times within the run, {self.t[0]:g} to {self.t[-1]:g} s")
-        return np.stack([self.path.at(float(ti)) for ti in times])
+        return self.path.along(times)
 
     def operating_point(self, times: Array) -> OperatingPoint:
         """The run as operating points at times (m,) [s], to linearise along. Raises BadArgument outside the run."""
@@ -108,9 +108,8 @@ def simulate(
     _refuse_what_no_time_resolves(e, float(np.abs(asked).max()))
     most = most_evaluations(e) if max_evaluations is None else checks.whole("max_evaluations", max_evaluations, 1, 10**12)
     run = Run(e, _disturbance(disturbance, e.n), options, DenseOutput(float(asked[0]), x0), [], float(asked[-1]), most)
-    moving = np.concatenate([x0[where] for name, (where, _) in e.parts.items() if name in ("q", "v", "theta", "omega")])
-    if np.abs(moving).max() > FAR:
-        raise BadArgument("the start", float(np.abs(moving).max()), f"positions and velocities up to {FAR:g}")
+    if run.farthest(x0) > FAR:
+        raise BadArgument("the start", run.farthest(x0), f"positions and velocities up to {FAR:g}")
     start = e.flow(
         float(asked[0]), x0, None, run.inputs(float(asked[0])), lose_contact=True
     )  # a start that cannot be evaluated raises here; it is not an outcome
@@ -140,19 +139,45 @@ def _run(run: Run, asked: Array, x0: Array) -> None:
 
 
 def _run_continuous(run: Run, asked: Array, x0: Array) -> None:
-    e = run.equations
-
-    def rates(t: float, x: Array) -> Array:
-        return value(e.join(e.flow(t, x, None, run.inputs(t), lose_contact=run.lose_contact).rates))
-
-    known = [np.zeros((e.nx, e.nx))]
+    e, count = run.equations, run.count or 1
+    nx = e.nx
+    known = np.zeros((count, nx, nx))
+    row, column = np.mgrid[:nx, :nx]
+    bands = np.zeros((2 * nx - 1, count, nx))
 
     def jac(t: float, x: Array) -> Array:
+        nonlocal known
         with suppress(MfcError):  # the trial step is too long: the rates report it, and the solver uses the last Jacobian
-            known[0] = closed_matrix(e, np.array([t]), x[None], lose_contact=run.lose_contact)[0]
-        return known[0]
+            known = closed_matrix(e, np.full(count, t), x.reshape(count, nx), lose_contact=run.lose_contact)
+        if run.count is None:
+            return np.asarray(known[0], float)
+        bands[nx - 1 + row - column, :, column] = np.moveaxis(known, 0, -1)  # a block for each run
+        return np.reshape(bands, (2 * nx - 1, count * nx))
 
-    run.integrate(rates, float(asked[0]), float(asked[-1]), x0, jac)
+    run.integrate(run.rates, float(asked[0]), float(asked[-1]), x0, jac)
+
+
+def simulate_together(
+    e: Equations, times: Array, starts: Array, *, rtol: float, atol: float, max_evaluations: float
+) -> tuple[Array | None, Outcome, float]:
+    """``simulate`` from the starts (k, nx) at once: states (k, m, nx) at ``times`` (m,), how it ended, and its evaluations.
+
+    The states are None where one of the runs did not reach the end, since then all of them stop there. Not for one-sided surfaces: each run has
+    its own contact.
+    """
+    flat = np.ravel(starts)
+    options = {"rtol": rtol, "atol": atol, "method": "LSODA"}
+    run = Run(e, None, options, DenseOutput(float(times[0]), flat), [], float(times[-1]), int(max_evaluations), count=len(starts))
+    try:
+        if run.farthest(flat) < FAR:
+            _run(run, times, flat)
+        else:
+            run.outcome = Outcome.DIVERGED
+    except MfcError:  # at the start
+        run.outcome = Outcome.REFUSED
+    if run.outcome is not Outcome.FINISHED:
+        return None, run.outcome, run.spent
+    return np.moveaxis(run.path.along(times).reshape(len(times), *starts.shape), 0, 1), run.outcome, run.spent
 
 
 def _gathered(run: Run, asked: Array) -> Simulation:
@@ -161,7 +186,7 @@ def _gathered(run: Run, asked: Array) -> Simulation:
     t = asked[asked <= end + 1e-12]
     if run.outcome is not Outcome.FINISHED and end > t[-1]:
         t = np.append(t, end)
-    x = np.stack([run.path.at(float(ti)) for ti in t])
+    x = run.path.along(t)
     kept = np.isfinite(x).all(axis=1)
     t, x, flow = _signals(run, t[kept], x[kept])
     s = e.split(x)

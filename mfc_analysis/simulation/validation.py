@@ -7,9 +7,7 @@ The disturbances are those that the linear model predicts worst (``directions``)
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,14 +22,19 @@ from mfc_analysis.simulation.directions import LARGEST, MISFIT, Candidate, candi
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
 from mfc_analysis.simulation.run import Outcome, most_evaluations
-from mfc_analysis.simulation.simulation import Simulation, simulate
+from mfc_analysis.simulation.simulation import Simulation, simulate, simulate_together
 
 STEPS = 200
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
 WORK = 1.5  #: times the evaluations that one run may take, for all runs of a validation
 REGULAR, LEAST = 0.05, 1e-2  #: agreement of two slopes of a remainder below the solver's error, and the part of that error it exceeds
 CLOSE = 0.01  #: relative accuracy of the radius
+FAN = 2  #: sizes above and below the one where a direction is to have its radius, run with it
+NEAR = 0.05  #: relative difference of two sizes up to which the misfit is in proportion
 LOOSE: dict[str, Any] = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius
+
+Case = tuple[Array, float]  #: direction (nx,) and size of a disturbance
+Pair = tuple[Array, Array]  #: (N, n) joint deviations of the nonlinear run and of the linear model
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,46 +80,85 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     predicted, q = _predict(e, base, t), e.parts["q"].where
     if not np.isfinite(predicted).all():
         return _nothing(e, time, size, "the response of the linear model overflows")
-    allowed = int(WORK * most_evaluations(e))
-    stopped, left = "", max(allowed - base.evaluations, 1)
-
-    def compare(direction: Array, size: float, options: dict[str, Any]) -> tuple[Array, Array] | None:
-        nonlocal stopped, left
-        try:
-            run = simulate(e, t, x0 + size * direction, method="LSODA", max_evaluations=left, **options)
-        except MfcError as why:
-            stopped = str(why)
-            return None
-        left = max(left - run.evaluations, 1)
-        if run.outcome is Outcome.STOPPED:
-            raise _TooMuch(f"the runs take more than {allowed} evaluations of the equations; a shorter time= takes fewer")
-        if run.diverged:
-            stopped = run.message
-            return None
-        return run.x[:, q] - base.x[:, q], size * (predicted[:, q] @ direction)
-
-    def nrmse(direction: Array, size: float) -> float:
-        pair = compare(direction, size, LOOSE)
-        return np.inf if pair is None else misfit(*pair)
+    runs = _Disturbed(e, base, predicted[:, q], int(WORK * most_evaluations(e)))
 
     try:
-        radius, direction = _worst(nrmse, candidates(e, base, scaled_basis(e, predicted), seed), 1e-6 * size)
-        here = compare(direction, size, TIGHT)
+        tried = candidates(e, base, scaled_basis(e, predicted), seed)
+        radius, direction = _worst(runs, tried, 1e-6 * size)
         largest = min(size, 0.25 * radius) if radius > 0 else size
         sizes = largest * np.array([1.0, 0.5, 0.25])
-        pairs = [here if s == size else compare(direction, s, TIGHT) for s in sizes]
+        here, *pairs = runs.compare([(direction, s) for s in (size, *sizes)], TIGHT)
     except _TooMuch as why:
         return _nothing(e, time, size, str(why), np.nan)
-    if here is None and radius == 0:
-        return _nothing(e, time, size, stopped)
-    remainders = np.array([np.nan if p is None else float(np.abs(p[0] - p[1]).max()) for p in pairs])
-    growth = np.array([1.0 if p is None else max(1.0, float(np.abs(p[0]).max()) / s) for s, p in zip(sizes, pairs, strict=True)])
+    if isinstance(here, str) and radius == 0:
+        return _nothing(e, time, size, here)
+    remainders = np.array([np.nan if isinstance(p, str) else float(np.abs(p[0] - p[1]).max()) for p in pairs])
+    growth = np.array([1.0 if isinstance(p, str) else max(1.0, float(np.abs(p[0]).max()) / s) for s, p in zip(sizes, pairs, strict=True)])
     error = 1e-8 * growth * sizes + ROUNDED * TIGHT["rtol"] * float(np.abs(base.x[:, q]).max())  # an unstable loop makes more of it
     order = _order(sizes, remainders, error)
-    if here is None:
+    if isinstance(here, str):
         linear = size * (predicted[:, q] @ direction)
-        return Validation(time, size, order, np.inf, radius, direction, sizes, remainders, t, np.full(linear.shape, np.nan), linear, stopped)
+        return Validation(time, size, order, np.inf, radius, direction, sizes, remainders, t, np.full(linear.shape, np.nan), linear, here)
     return Validation(time, size, order, misfit(*here), radius, direction, sizes, remainders, t, *here)
+
+
+class _Disturbed:
+    """Runs from disturbed starts, together where that is possible, and what the linear model predicts for them."""
+
+    def __init__(self, e: Equations, base: Simulation, predicted: Array, allowed: int) -> None:
+        self.e, self.base, self.predicted = e, base, predicted  #: predicted: (N, n, nx)
+        self.allowed, self.left = allowed, max(allowed - float(base.evaluations), 1.0)  #: evaluations
+        self.alone = any(s.one_sided for s in e.surfaces)  #: each run has its own contact
+
+    def misfits(self, cases: list[Case]) -> list[float]:
+        """``misfit`` of each case, inf where its run does not reach the end."""
+        return [np.inf if isinstance(pair, str) else misfit(*pair) for pair in self.compare(cases, LOOSE)]
+
+    def together(self, cases: list[Case]) -> list[float]:
+        """The same where several runs can be run together and all reach the end; none otherwise."""
+        if self.alone or len(cases) < 2:
+            return []
+        x = self._stacked(self._starts(cases), LOOSE)
+        return [] if x is None else [misfit(*self._pair(one, case)) for one, case in zip(x, cases, strict=True)]
+
+    def compare(self, cases: list[Case], options: dict[str, Any]) -> list[Pair | str]:
+        """The joint deviations of each case; where its run does not reach the end: why not."""
+        starts, which = np.unique(self._starts(cases), axis=0, return_inverse=True)
+        runs = self._runs(starts, options)
+        return [x if isinstance(x := runs[i], str) else self._pair(x, case) for i, case in zip(np.ravel(which), cases, strict=True)]
+
+    def _starts(self, cases: list[Case]) -> Array:
+        return np.asarray(self.base.x[0] + np.array([size * direction for direction, size in cases]))
+
+    def _pair(self, x: Array, case: Case) -> Pair:
+        q, (direction, size) = self.e.parts["q"].where, case
+        return x[:, q] - self.base.x[:, q], size * (self.predicted @ direction)
+
+    def _runs(self, starts: Array, options: dict[str, Any]) -> list[Array | str]:
+        """States (N, nx) of the runs from the starts (k, nx). Where one of them stops, halves of them run again, in the end each alone."""
+        half = len(starts) // 2
+        if not half:
+            return [self._run(starts[0], options)]
+        x = None if self.alone else self._stacked(starts, options)
+        return list(x) if x is not None else self._runs(starts[:half], options) + self._runs(starts[half:], options)
+
+    def _stacked(self, starts: Array, options: dict[str, Any]) -> Array | None:
+        x, outcome, spent = simulate_together(self.e, self.base.t, starts, max_evaluations=self.left, **options)
+        self._spend(spent, outcome)
+        return x
+
+    def _run(self, start: Array, options: dict[str, Any]) -> Array | str:
+        try:
+            run = simulate(self.e, self.base.t, start, method="LSODA", max_evaluations=int(self.left), **options)
+        except MfcError as why:
+            return str(why)
+        self._spend(run.evaluations, run.outcome)
+        return run.message if run.diverged else run.x
+
+    def _spend(self, evaluations: float, outcome: Outcome) -> None:
+        self.left = max(self.left - evaluations, 1.0)
+        if outcome is Outcome.STOPPED:
+            raise _TooMuch(f"the runs take more than {self.allowed} evaluations of the equations; a shorter time= takes fewer")
 
 
 def misfit(nonlinear: Array, linear: Array) -> float:
@@ -159,43 +201,63 @@ def _order(sizes: Array, remainders: Array, floor: Array) -> float:
     return float(np.log2(remainders[0] / remainders[1] if remainders[2] <= 3 * floor[2] else remainders[1] / remainders[2]))
 
 
-def _worst(nrmse: Callable[[Array, float], float], tried: list[Candidate], least: float) -> tuple[float, Array]:
-    """The smallest radius of the candidates [rad, m] and its direction. Each takes one run at the smallest radius so far, more if it fails there."""
-    direction = tried[0].direction
-    radius = _radius(partial(nrmse, direction), MISFIT * tried[0].reach, least)
-    for candidate in tried[1:]:
-        size = min(radius, LARGEST)
-        found = nrmse(candidate.direction, size) if size > 0 else 0.0
-        if found > MISFIT * (1 + CLOSE):
-            direction = candidate.direction
-            radius = _radius(partial(nrmse, direction), size * MISFIT / found, least)
+def _worst(runs: _Disturbed, tried: list[Candidate], least: float) -> tuple[float, Array]:
+    """The smallest radius of the candidates [rad, m] and its direction.
+
+    All are run together at the size where the first is to have its radius, and again at that radius where it is another size; one that fails
+    there takes its place.
+    """
+    direction, others = tried[0].direction, [candidate.direction for candidate in tried[1:]]
+    size = float(np.clip(MISFIT * tried[0].reach, least, LARGEST))
+    sizes = _about(size, 0.0, np.inf, least)
+    found = runs.together([(direction, s) for s in sizes] + [(other, size) for other in others])
+    known = dict(zip(sizes, found, strict=False)) or {size: runs.misfits([(direction, size)])[0]}
+    radius, found = _radius(runs, direction, known, least), found[len(sizes) :]
+    while others and radius > 0:
+        reached = min(radius, LARGEST)
+        if not found or abs(reached / size - 1) > NEAR:
+            size, found = reached, runs.misfits([(other, reached) for other in others])
+        i = int(np.argmax(found))
+        if not found[i] * reached / size > MISFIT * (1 + CLOSE):  # about in proportion to the size
+            break
+        direction = others.pop(i)
+        radius = _radius(runs, direction, {size: found.pop(i)}, least)
     return radius, direction
 
 
-def _radius(nrmse: Callable[[float], float], guess: float, least: float) -> float:
-    """Largest size at which ``nrmse`` is below ``MISFIT``, to ``CLOSE``; inf if it is up to ``LARGEST``, 0 if it is not even at ``least``.
+def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least: float) -> float:
+    """Largest size with a misfit below ``MISFIT``, to ``CLOSE``; inf if it is up to ``LARGEST``, 0 if it is not even at ``least``.
 
-    The misfit grows about in proportion to the size, so the next size tried is where it would be ``MISFIT``.
+    The misfit grows about in proportion to the size, so the next size tried is where it would be ``MISFIT``, once that is near with some more
+    about it. ``known``: size -> misfit.
     """
-    low, high, size = 0.0, np.inf, float(np.clip(guess, least, LARGEST))
-    while high > (1 + CLOSE) * low:
-        found = nrmse(size)
-        if found < MISFIT:
-            low = size
-            if low >= LARGEST:
-                return np.inf
-        elif size <= least:
+    while True:
+        high = min((s for s, found in known.items() if not found < MISFIT), default=np.inf)
+        low = max((s for s in known if s < high), default=0.0)
+        if high <= least:
             return 0.0
-        else:
-            high = size
-        step = size * float(np.clip(MISFIT / max(found, 1e-300), 0.25, 4.0))
+        if low >= LARGEST:
+            return np.inf
+        if high <= (1 + CLOSE) * low:
+            return low
+        near = low if low and (high == np.inf or known[low] * known[high] > MISFIT**2) else high  # the nearer one
+        change = float(np.clip(MISFIT / max(known[near], 1e-300), 0.25, 4.0))
+        size = near * change
         if high == np.inf:
-            size = min(max(step, (1 + CLOSE) * low), LARGEST)
+            size = min(max(size, (1 + CLOSE) * low), LARGEST)
         elif low == 0:
-            size = max(min(step, (1 - CLOSE) * high), least)
-        else:
-            size = step if (1 + CLOSE / 4) * low < step < (1 - CLOSE / 4) * high else float(np.sqrt(low * high))
-    return low
+            size = max(min(size, (1 - CLOSE) * high), least)
+        elif not low < size < high:
+            size = float(np.sqrt(low * high))
+        sizes = _about(size, low, high, least) if 0.5 < change < 2 else [size]
+        found = runs.together([(direction, s) for s in sizes]) or runs.misfits([(direction, size)])
+        known.update(zip(sizes if len(found) > 1 else [size], found, strict=True))
+
+
+def _about(size: float, low: float, high: float, least: float) -> list[float]:
+    """A size, and some below and above, closer than ``CLOSE``, that are between known ones and within the sizes that are tried."""
+    sizes = np.clip(size * (1 + 0.9 * CLOSE) ** np.arange(-FAN, FAN + 1), least, LARGEST)
+    return [float(s) for s in np.unique(sizes) if low < s < high]
 
 
 def _nothing(e: Equations, time: float, size: float, why: str, radius: float = 0.0) -> Validation:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import factorial
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -15,7 +16,8 @@ from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import Unsupported
 from mfc_analysis.loop import ClosedLoop
-from mfc_analysis.simulation.delayed import NODES, History, echoes, edges, segments
+from mfc_analysis.simulation import delayed
+from mfc_analysis.simulation.delayed import INTEGRALS, NODES, History, echoes, edges, segments
 from mfc_analysis.trajectories import Hold, Sinusoid
 
 JOINT = robots.single_joint()
@@ -209,3 +211,22 @@ def test_the_jump_of_a_force_at_the_touch_comes_back_through_every_dead_time(del
     close = 1e-7 if delay and force_delay else 1e-10  # five dead times are two round trips: kinks of the third order lie within segments
     assert_allclose(sim.q[:, 0], right[:, 0], rtol=0, atol=close)
     assert_allclose(sim.v[:, 0], right[:, 1], rtol=0, atol=100 * close)
+
+
+def test_integrals_from_samples_at_the_nodes_are_exact_for_their_polynomials() -> None:
+    for power in range(9):
+        assert_allclose(INTEGRALS @ NODES**power, NODES ** (power + 1) / (power + 1), atol=1e-15)
+
+
+@pytest.mark.parametrize("leak", [0.0, 2.0, 1e3])
+def test_the_own_states_of_a_law_are_the_same_found_within_the_solver_or_after_it(leak: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A leaky integral, z' = e - leak z, as an LTI outer loop: its own states act on each other (1e3: too fast to be found after the plant)."""
+    outer = control.ss([[-leak]], [[1.0]], [[60.0]], [[100.0]])
+    loop = ClosedLoop(robots.single_joint(), L.InverseDynamics(outer), Hold([0.3]), hardware=Hardware(delay=4e-3))
+    found = loop.simulate(np.linspace(0, 0.2, 41), initial_error=0.2, rtol=1e-9, atol=1e-12)
+    monkeypatch.setattr(delayed, "COUPLED", -1.0)
+    within = loop.simulate(found.t, initial_error=0.2, rtol=1e-9, atol=1e-12)
+    assert_allclose(found.x, within.x, atol=1e-9)
+    assert np.ptp(found.x[:, 2]) > 1e-4
+    assert (found.evaluations < within.evaluations) == (leak < 1e3)
+    assert_allclose(found.command, within.command, atol=1e-6)

@@ -213,3 +213,6 @@ def test_dense_output_is_that_of_the_segment_and_of_the_later_one_at_its_seam() 
     assert [path.at(t)[0] for t in (-1.0, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5)] == [-1, -1, 10.5, 21, 21.5, 22, 22]
     assert path.at(1.0 - 1e-13)[0] == pytest.approx(21.0)  # a sampling instant up to rounding
     assert path.at(1.0 - 1e-9)[0] == pytest.approx(11.0)
+    times = np.array([-1.0, 0.0, 0.5, 1.0 - 1e-9, 1.0 - 1e-13, 1.0, 1.5, 2.0, 2.5])
+    assert path.along(times).tolist() == [path.at(float(t)).tolist() for t in times]
+    assert DenseOutput(0.0, np.array([-1.0])).along(times).tolist() == [[-1.0]] * 9

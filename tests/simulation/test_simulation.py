@@ -9,10 +9,13 @@ from scipy.integrate import cumulative_trapezoid
 
 from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.errors import BadArgument, NearPi
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import inverse, log6
-from mfc_analysis.simulation.simulation import METHODS
+from mfc_analysis.simulation.run import Outcome
+from mfc_analysis.simulation.simulation import METHODS, simulate, simulate_together
 from mfc_analysis.trajectories import Hold, Sinusoid, ToolHold
 from tests.conftest import LAWS, Case, arm, loop_of, moving, named, plant, regular_pose
 
@@ -139,3 +142,30 @@ def test_what_a_run_cannot_take_is_refused_by_name(given: dict, argument: str) -
     with pytest.raises(BadArgument) as info:
         loop.simulate(**{"times": 0.1, **given})
     assert info.value.argument == argument
+
+
+# --- runs together -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hardware", [None, Hardware(delay=5e-3), Hardware(sample_time=5e-3, delay=7e-3)], ids=["ideal", "delay", "sampled"])
+@pytest.mark.parametrize("rtol", [1e-7, 1e-10])
+def test_each_of_several_runs_together_is_as_accurate_as_alone(hardware: Hardware | None, rtol: float) -> None:
+    """Against runs at a tighter tolerance: the largest error together is at most that of runs alone, up to a factor of 3 of luck."""
+    loop = ClosedLoop(
+        plant("planar_2r"), L.ComputedTorque(400.0, 200.0, 40.0), moving("planar_2r"), controller_model=arm("planar_2r"), hardware=hardware
+    )
+    e, t = loop.equations, np.linspace(0, 0.3, 61)
+    starts = on_reference(e, np.zeros(1)).x + np.random.default_rng(0).uniform(-1, 1, (6, e.nx)) * np.geomspace(1e-4, 0.3, 6)[:, None]
+    exact, alone = (np.stack([simulate(e, t, x, rtol=r, atol=1e-3 * r).x for x in starts]) for r in (1e-13, rtol))
+    x, outcome, evaluations = simulate_together(e, t, starts, rtol=rtol, atol=1e-3 * rtol, max_evaluations=1e5)
+    assert x is not None and outcome is Outcome.FINISHED and evaluations > 0
+    assert np.abs(x - exact).max() <= 3 * np.abs(alone - exact).max() + 1e-12
+    assert simulate_together(e, t, starts, rtol=rtol, atol=1e-3 * rtol, max_evaluations=20)[1] is Outcome.STOPPED
+
+
+def test_where_one_of_the_runs_together_stops_there_are_no_states() -> None:
+    loop = ClosedLoop(robots.slider(1.0), L.JointPID(-50.0), Hold([0.0]))
+    t = np.linspace(0, 1.5, 11)
+    for far, outcome in ((1e-3, Outcome.FINISHED), (0.5, Outcome.DIVERGED), (2e4, Outcome.DIVERGED)):
+        x, how, _ = simulate_together(loop.equations, t, np.array([[0.0, 0.0], [far, 0.0]]), rtol=1e-8, atol=1e-10, max_evaluations=1e5)
+        assert how is outcome and (x is None) == (how is not Outcome.FINISHED)
