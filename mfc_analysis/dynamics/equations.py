@@ -36,7 +36,7 @@ import numpy as np
 from mfc_analysis.dynamics.environment import Contact, Environment, LoseContact, contact
 from mfc_analysis.dynamics.hardware import Hardware, JointHardware
 from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
-from mfc_analysis.laws.law import TWIST, WRENCH, Action, JointReference, Law, Measured, Slot, ToolReference
+from mfc_analysis.laws.law import TWIST, WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, concatenate, elementwise, times, value
 from mfc_analysis.maths.se3 import Pose
@@ -55,8 +55,13 @@ def timed(t: float | Array) -> Iterator[None]:
     try:
         yield
     except (NearSingular, NearPi) as why:
-        times = np.ravel(t)
-        raise why.at(float(times[why.index]) if why.index < times.size else None) from None
+        raise at_time(why, t) from None
+
+
+def at_time(why: NearSingular | NearPi, t: float | Array) -> NearSingular | NearPi:
+    """The error with the time of its point: t [s], one for each point or one for all."""
+    times = np.ravel(t)
+    return why.at(float(times[why.index]) if why.index < times.size else None)
 
 
 class Wires:
@@ -73,6 +78,11 @@ class Wires:
     def cuts(self, name: str) -> bool:
         """True if this wire is cut."""
         return name in self.inputs
+
+
+def uncut(name: str, signal: Vector) -> Vector:
+    """A wire that is not cut and records nothing."""
+    return signal
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +112,9 @@ class Inputs:
     F_d: Vector | None = None  #: (..., 6) replaces the F_d of the law
 
 
+NO_INPUTS = Inputs()
+
+
 @dataclass(frozen=True, eq=False)
 class Equations:
     """A robot, a law with its model, a reference, surfaces and hardware, as one system of differential equations."""
@@ -117,6 +130,7 @@ class Equations:
     controller: Primitives = field(init=False)
     joints: JointHardware = field(init=False)
     parts: Mapping[str, Part] = field(init=False)
+    _where: tuple[tuple[str, slice], ...] = field(init=False, repr=False)
     state_names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -130,6 +144,7 @@ class Equations:
             names += [f"{slot.name}_{channel}" for channel in slot.channels]
             start += len(slot.channels)
         set_(self, "parts", parts)
+        set_(self, "_where", tuple((name, where) for name, (where, _) in parts.items()))
         set_(self, "state_names", tuple(names))
 
     # --- the layout ----------------------------------------------------------------------------------------------
@@ -221,11 +236,11 @@ class Equations:
         """The slots as one state."""
         return concatenate([slots[name] for name in self.parts])
 
-    def state_rates(self, slots: Mapping[str, Vector], lead: tuple[int, ...] = ()) -> Array:
+    def state_rates(self, slots: Mapping[str, Any], lead: tuple[int, ...] = ()) -> Array:
         """x' (*lead, nx) for plain arrays, where only some of the slots have rates; the others have none."""
         out = np.zeros((*lead, self.nx))
         for name, rate in slots.items():
-            out[..., self.parts[name].where] = value(rate)
+            out[..., self.parts[name].where] = rate
         return out
 
     # --- the reference -------------------------------------------------------------------------------------------
@@ -255,8 +270,10 @@ class Equations:
 
         Raises NearSingular and NearPi with the time.
         """
-        with timed(t):
-            return self._flow(t, self.split(x), wires or Wires(), inputs or Inputs(), lose_contact)
+        try:
+            return self._flow(t, self.split(x), Wires() if wires is None else wires, NO_INPUTS if inputs is None else inputs, lose_contact)
+        except (NearSingular, NearPi) as why:
+            raise at_time(why, t) from None
 
     def _flow(self, t: float | Array, s: dict[str, Vector], wires: Wires, inputs: Inputs, lose_contact: LoseContact) -> Flow:
         touched = self.touch(s, lose_contact=lose_contact)
@@ -276,7 +293,7 @@ class Equations:
             return Contact(np.zeros((*value(s["q"]).shape[:-1], 6)), (), ())
         return contact(self.surfaces, self.plant, s["q"], s["v"], lose_contact=lose_contact)
 
-    def control(self, t: float | Array, s: Mapping[str, Vector], F: Vector, wires: Wires, inputs: Inputs) -> tuple[Action, dict[str, Vector]]:
+    def control(self, t: float | Array, s: Mapping[str, Vector], F: Vector, wires: Tap, inputs: Inputs) -> tuple[Action, dict[str, Vector]]:
         """Sensors, filters and the law: its action, and the rates of the controller's states."""
         ref = self.reference(t, inputs)
         rates: dict[str, Vector] = {}
@@ -321,7 +338,7 @@ class Equations:
     def _net(self, s: Mapping[str, Vector], drive: Vector, F: Vector, disturbance: Vector) -> Vector:
         """Net torque M q'' + C v + g: drive + disturbance - friction - J^T F_tip."""
         net = drive + disturbance
-        if np.any(self.robot.viscous) or np.any(self.robot.coulomb):
+        if self.plant.rubs:
             net = net - self.plant.friction(s["v"])
         if self.surfaces:
             net = net - self.plant.jacobian_transpose(s["q"], F)
@@ -335,7 +352,7 @@ class Equations:
         return elementwise(command, lambda u: np.clip(u, -limit, limit), lambda u: np.where(np.abs(u) <= limit, 1.0, 0.0))
 
     def _with_measured_acceleration(
-        self, t: float | Array, s: dict[str, Vector], command: Vector, F: Vector, disturbance: Vector, wires: Wires
+        self, t: float | Array, s: Mapping[str, Vector], command: Vector, F: Vector, disturbance: Vector, wires: Wires
     ) -> Vector:
         """tau = command - E q'', E q'' the law's ``acceleration_torque``, with q'' of the plant under this same torque tau."""
         law, ref = self.law, self.reference(t)
@@ -351,12 +368,31 @@ class Equations:
         a = np.asarray(np.linalg.solve(self.plant.at(value(s["q"])).M + E, value(rest)[..., None])[..., 0], float)
         return command - law.acceleration_torque(self.controller, ref, a)
 
+    def signals(self, t: float | Array, x: Vector, inputs: Inputs, *, lose_contact: LoseContact = False) -> Flow:
+        """``flow`` without the rates of a torque plant, which no signal needs."""
+        if self.actuator == "velocity" or self.law.needs_acceleration:
+            return self.flow(t, x, None, inputs, lose_contact=lose_contact)
+        with timed(t):
+            s = self.split(x)
+            touched = self.touch(s, lose_contact=lose_contact)
+            action, rates = self.control(t, s, touched.wrench, Wires(), inputs)
+            return Flow(rates, action.error, action.command, touched.wrench, touched)
+
     # --- for plain arrays ----------------------------------------------------------------------------------------
 
     def rates(self, t: float | Array, x: Array, disturbance: Array | None = None, *, lose_contact: LoseContact = False) -> Array:
         """x' (..., nx) for plain arrays, as a simulation integrates it (no dead time, no sampling)."""
-        found = self.flow(t, x, None, None if disturbance is None else Inputs(disturbance=disturbance), lose_contact=lose_contact)
-        return value(self.join(found.rates))
+        s = {name: x[..., where] for name, where in self._where}
+        try:
+            F = contact(self.surfaces, self.plant, s["q"], s["v"], lose_contact=lose_contact).wrench if self.surfaces else NO_WRENCH
+            action, rates = self.control(t, s, F, uncut, NO_INPUTS)
+            command, push = action.command, 0.0 if disturbance is None else disturbance
+            if self.law.needs_acceleration:
+                command = self._with_measured_acceleration(t, s, command, F, push, Wires())
+            rates.update(self.move(s, command, F, push))
+        except (NearSingular, NearPi) as why:
+            raise at_time(why, t) from None
+        return self.state_rates(rates, x.shape[:-1])
 
 
 def warn_near_singular(equations: Equations, times: Array, q: Array) -> None:

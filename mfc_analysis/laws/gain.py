@@ -33,6 +33,8 @@ class Gain:
         if self.array is not None and (self.array.ndim > 2 or (self.array.ndim == 2 and self.array.shape[0] != self.array.shape[1])):
             raise BadArgument(name, f"shape {self.array.shape}", "a scalar, a vector or a square matrix")
 
+        self._factor = None if self.array is None or self.array.ndim == 2 else self.array
+
     # --- as a field of a law -------------------------------------------------------------------------------------
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -61,9 +63,7 @@ class Gain:
     def __matmul__(self, x: Vector | None) -> Array | Dual | float:
         if self.array is None or x is None:
             return 0.0
-        if self.array.ndim == 2:
-            return matvec(self.array, x)
-        return x * self.array
+        return matvec(self.array, x) if self._factor is None else x * self._factor
 
     def check(self, size: int, what: str) -> None:
         """Raise BadArgument unless this gain acts on vectors of ``size`` (``what``: 'joints', 'twist')."""

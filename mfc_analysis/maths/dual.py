@@ -88,6 +88,12 @@ def times(matrix: Array, x: Array) -> Array:
     return matrix @ x if matrix.ndim == 2 and x.ndim == 1 else (matrix @ x[..., None])[..., 0]
 
 
+def spread(x: Array, lead: tuple[int, ...]) -> Array:
+    """A vector (..., k) at every point of the leading axes: (*lead, k)."""
+    shape = (*lead, x.shape[-1])
+    return x if x.shape == shape else np.broadcast_to(x, shape)
+
+
 def elementwise(x: Vector, f: Callable[[Array], Array], df: Callable[[Array], Array]) -> Array | Dual:
     """A function of each component, with its derivative."""
     if isinstance(x, Dual):
@@ -101,6 +107,6 @@ def concatenate(parts: Sequence[Vector]) -> Array | Dual:
     if not duals:
         return np.concatenate([np.asarray(p) for p in parts], axis=-1)
     lead, width = duals[0].value.shape[:-1], duals[0].tangent.shape[-1]
-    values = [np.broadcast_to(value(p), (*lead, value(p).shape[-1])) for p in parts]
+    values = [spread(value(p), lead) for p in parts]
     tangents = [p.tangent if isinstance(p, Dual) else np.zeros((*lead, v.shape[-1], width)) for p, v in zip(parts, values, strict=True)]
     return Dual(np.concatenate(values, axis=-1), np.concatenate(tangents, axis=-2))

@@ -8,6 +8,7 @@ form).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,8 @@ from mfc_analysis.maths.dual import Dual, Vector, chain, matvec, times, value
 
 #: (y/2) cot(y/2) = 1 - sum a_k y^(2k): Bernoulli numbers over factorials, k = 1..8
 _A = np.array([1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600, 3617 / 10670622842880000])
+_A_DOWN = _A[::-1].tolist()
+MOST = np.pi - 1e-3  #: [rad] largest angle of which a logarithm is taken in a loop
 _SMALL = 0.25  # theta^2 below which the series is used
 
 
@@ -32,6 +35,9 @@ def hat(w: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """Plain cross product of (..., 3) arrays (faster than numpy's for small arrays)."""
+    if a.ndim == b.ndim == 1:
+        (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+        return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
@@ -114,7 +120,7 @@ def rotation_vector(R: Array) -> Array:
     """``log3``. Raises ``NearPi`` within 1e-3 rad of pi."""
     w = log3(R)
     angle = np.sqrt(np.sum(w * w, axis=-1))
-    if np.any(angle > np.pi - 1e-3):
+    if np.any(angle > MOST):
         raise NearPi(float(np.max(angle)), index=int(np.argmax(angle)))
     return w
 
@@ -136,11 +142,35 @@ def Jlog3_slope(w: Array, y: Array) -> Array:
 
 def log6(X: Array) -> Array:
     """Poses (..., 4, 4) -> twists (..., 6), exact for rotation angles below pi."""
+    if X.ndim == 2:
+        return _log6_of_one(X[:3, :3], X[:3, 3])[0]
     w = log3(X[..., :3, :3])
     p = X[..., :3, 3]
     wp = cross(w, p)
     c = _one_minus_alpha_over_s(np.sum(w * w, axis=-1))
     return np.concatenate([p - 0.5 * wp + c[..., None] * cross(w, wp), w], axis=-1)
+
+
+def _log6_of_one(R: Array, p: Array) -> tuple[Array, float]:
+    """``log6`` of one pose, and its angle: the same formulas on numbers, in a tenth of the time."""
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    x, y, z = 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b)
+    theta = math.atan2(math.sqrt(x * x + y * y + z * z), 0.5 * (a + e + i - 1.0))
+    k = theta / math.sin(theta) if theta > 1e-150 else 1.0
+    x, y, z = k * x, k * y, k * z
+    s = x * x + y * y + z * z
+    angle = math.sqrt(s)
+    if s < _SMALL:
+        factor = 0.0
+        for a_k in _A_DOWN:
+            factor = factor * s + a_k
+    else:
+        factor = (1 - 0.5 * angle / math.tan(0.5 * angle)) / s
+    u, v, w = p.tolist()
+    m, n, o = y * w - z * v, z * u - x * w, x * v - y * u
+    return np.array([
+        u - 0.5 * m + factor * (y * o - z * n), v - 0.5 * n + factor * (z * m - x * o), w - 0.5 * o + factor * (x * n - y * m), x, y, z,
+    ]), angle  # fmt: skip
 
 
 def Jlog6(xi: Array) -> Array:
@@ -241,6 +271,10 @@ class Pose:
     def adjoint(self, V: Vector) -> Array | Dual:
         """Ad(X) V, with the tangent of the pose: Ad(X) (dV - ad(V) twist)."""
         v = value(V)
+        if self.R.ndim == 2 and v.ndim == 1 and self.twist is None and not isinstance(V, Dual):
+            moved = v.reshape(2, 3) @ self.R.T
+            moved[0] += cross(self.p, moved[1])
+            return moved.reshape(6)
         Ad = self.Ad()
         out = times(Ad, v)
         dV = V.tangent if isinstance(V, Dual) else None
@@ -251,6 +285,11 @@ class Pose:
 
     def log(self) -> Array | Dual:
         """log6 with the exact tangent. Raises ``NearPi`` within 1e-3 rad of pi."""
+        if self.R.ndim == 2 and self.twist is None:
+            xi, angle = _log6_of_one(self.R, self.p)
+            if angle > MOST:
+                raise NearPi(angle)
+            return xi
         rotation_vector(self.R)
         xi = log6(self.matrix)
         return xi if self.twist is None else Dual(xi, Jlog6(xi) @ self.twist)

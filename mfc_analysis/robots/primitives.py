@@ -8,7 +8,7 @@ for inverses (y = S^-1 b has tangent S^-1 (db - dS y)). Values are ``(..., n)`` 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import repeat
 from typing import TYPE_CHECKING
 
@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from mfc_analysis.errors import NearSingular
-from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.dual import Dual, Vector, chain, elementwise, matvec, times, value
+from mfc_analysis.maths.arrays import Array, Ints
+from mfc_analysis.maths.dual import Dual, Vector, chain, elementwise, matvec, spread, times, value
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.singularity import REFUSE_CONDITION, nearest_singular
 
@@ -40,6 +40,10 @@ class Primitives:
         self._order = None if np.array_equal(back, np.arange(self.n)) else np.argsort(back)
         self._back = back
         self._plain = self._order is None and robot.model.nq == robot.model.nv
+        self._viscous = robot.viscous if np.any(robot.viscous) else None
+        self._coulomb = robot.coulomb if np.any(robot.coulomb) else None
+        self.rubs = self._viscous is not None or self._coulomb is not None  #: True where the robot has joint friction
+        self._zero = np.zeros(self.n)
         self._seen: list[Configuration] = []
 
     def at(self, q: Array) -> Configuration:
@@ -55,6 +59,8 @@ class Primitives:
 
     def rnea(self, q: Vector, v: Vector, a: Vector) -> Array | Dual:
         """M(q) a + C(q, v) v + g(q) [Nm or N], without friction: equation 9.7."""
+        if self._single(q, v, a):
+            return np.array(pin.rnea(self._model, self._data, q, v, a))
         qs, vs, accelerations = value(q), value(v), value(a)
         if not any(isinstance(x, Dual) for x in (q, v, a)):
             return self._each(pin.rnea, qs, vs, accelerations)
@@ -76,6 +82,8 @@ class Primitives:
 
     def aba(self, q: Vector, v: Vector, tau: Vector) -> Array | Dual:
         """q'' = M(q)^-1 (tau - C v - g), without friction: equation 9.7 solved."""
+        if self._single(q, v, tau):
+            return np.array(pin.aba(self._model, self._data, q, v, tau))
         qs, vs, taus = value(q), value(v), value(tau)
         if not any(isinstance(x, Dual) for x in (q, v, tau)):
             return self._each(pin.aba, qs, vs, taus)
@@ -116,7 +124,7 @@ class Primitives:
         """Joint friction of the plant: viscous v + coulomb tanh(v / coulomb_speed)."""
         robot = self.robot
         out = v * robot.viscous
-        if not np.any(robot.coulomb):
+        if self._coulomb is None:
             return out
         slope = 1 / robot.coulomb_speed
         return out + robot.coulomb * elementwise(v, lambda x: np.tanh(slope * x), lambda x: slope / np.cosh(np.clip(slope * x, -300, 300)) ** 2)
@@ -142,6 +150,9 @@ class Primitives:
 
     def jacobian_dot(self, q: Vector, v: Vector) -> Array | Dual:
         """(dJ_b/dt) v at velocity v: the tool acceleration minus J a."""
+        if self._single(q, v):
+            pin.forwardKinematics(self._model, self._data, q, v, self._zero)  # without joint accelerations the frame has this one
+            return np.array(pin.getFrameAcceleration(self._model, self._data, self.robot.frame_id, pin.LOCAL).vector)
         at = self.at(value(q))
         vs = value(v)
         K = self._bracketed(at.J, vs)
@@ -222,7 +233,15 @@ class Primitives:
     # --- loops over Pinocchio calls ------------------------------------------------------------------------------
 
     def _with_viscous(self, tau: Array | Dual, v: Vector) -> Array | Dual:
-        return tau + v * self.robot.viscous if np.any(self.robot.viscous) else tau
+        return tau if self._viscous is None else tau + v * self._viscous
+
+    def _single(self, *vectors: Vector) -> bool:
+        """True for plain vectors (n,) of one point that Pinocchio takes as they are."""
+        if self._plain:
+            for x in vectors:
+                if type(x) is not np.ndarray or x.ndim != 1:
+                    return False
+        return self._plain
 
     def _configurations(self, q: Array) -> Array:
         return np.ascontiguousarray(q if self._plain else self.robot.configuration(q)).reshape(-1, self._model.nq)
@@ -232,7 +251,7 @@ class Primitives:
         model, data = self._model, self._data
         if q.ndim == 1 and self._order is None and all(x.ndim == 1 for x in more):
             return np.array(call(model, data, q if self._plain else self.robot.configuration(q), *more))
-        lead = np.broadcast_shapes(q.shape[:-1], *(x.shape[:-1] for x in more))
+        lead = _lead(q, more)
         count, columns = self._columns(lead, q, more)
         out = np.empty((count, self.n))
         for i, at in enumerate(zip(*columns, strict=False)):
@@ -240,13 +259,13 @@ class Primitives:
         return (out if self._order is None else out[:, self._back]).reshape(*lead, self.n)
 
     def _columns(self, lead: tuple[int, ...], q: Array, more: tuple[Array | None, ...]) -> tuple[int, list[Iterable[Array]]]:
-        first = self._configurations(np.broadcast_to(q, (*lead, self.n)))
+        first = self._configurations(spread(q, lead))
         columns: list[Iterable[Array]] = [first]
         for x in more:
             if x is None:
-                columns.append(repeat(np.zeros(self.n)))
+                columns.append(repeat(self._zero))
                 continue
-            x = np.broadcast_to(x, (*lead, self.n)).reshape(-1, self.n)
+            x = spread(x, lead).reshape(-1, self.n)
             columns.append(np.ascontiguousarray(x if self._order is None else x[:, self._order]))
         return len(first), columns
 
@@ -254,7 +273,7 @@ class Primitives:
         self, call: Callable[..., object], model: pin.Model, data: pin.Data, views: tuple[Array, ...], q: Array, *more: Array | None
     ) -> list[Array]:
         """Calls at every point (None: zeros) and copies Pinocchio's arrays, which each call overwrites, into batches."""
-        lead = np.broadcast_shapes(q.shape[:-1], *(x.shape[:-1] for x in more if x is not None))
+        lead = _lead(q, more)
         count, columns = self._columns(lead, q, more)
         outs = [np.empty((count, *view.shape)) for view in views]
         pairs = list(zip(outs, views, strict=True))
@@ -314,17 +333,15 @@ class Configuration:
     def _kinematics(self) -> tuple[Array, Array, Array]:
         of = self._of
         model, data, frame = of._model, of._data, of.robot.frame_id
-        joint, placement = model.frames[frame].parentJoint, model.frames[frame].placement
         points = of._configurations(self.q)
-        J, R, p = np.empty((len(points), 6, of.n)), np.empty((len(points), 3, 3)), np.empty((len(points), 3))
+        J, X = np.empty((len(points), 6, of.n)), np.empty((len(points), 4, 4))
         for i, at in enumerate(points):
             pin.computeJointJacobians(model, data, at)
             J[i] = pin.getFrameJacobian(model, data, frame, pin.LOCAL).reshape(6, of.n)  # (6,) for a single joint
-            X = data.oMi[joint] * placement
-            R[i], p[i] = X.rotation, X.translation
+            X[i] = pin.updateFramePlacement(model, data, frame).homogeneous
         lead = self.q.shape[:-1]
-        J = of._unordered(J)
-        return J.reshape(*lead, 6, of.n), R.reshape(*lead, 3, 3), p.reshape(*lead, 3)
+        X = X.reshape(*lead, 4, 4)
+        return of._unordered(J).reshape(*lead, 6, of.n), X[..., :3, :3], X[..., :3, 3]
 
     @property
     def J(self) -> Array:
@@ -350,6 +367,8 @@ class Configuration:
     def M(self) -> Array:
         """Mass matrix (..., n, n), armature included."""
         of = self._of
+        if of._single(self.q):
+            return symmetric(np.array(pin.crba(of._model, of._data, self.q)))
         (M,) = of._collect(pin.crba, of._model, of._data, (of._data.M,), self.q)
         return symmetric(M)
 
@@ -369,6 +388,9 @@ class Configuration:
         if self._of.n < 6:
             raise NearSingular(self._of.robot.tool, 0.0, float("inf"))
         self.check_regular()
+        if self._of.n == 6:
+            inverse = self.J_inverse
+            return np.asarray(np.swapaxes(inverse, -1, -2) @ self.M @ inverse, float)
         return np.asarray(np.linalg.inv(self.J @ self.M_inverse @ self.J_T), float)
 
     @cached_property
@@ -383,14 +405,43 @@ class Configuration:
 
     def check_regular(self) -> None:
         """Raises NearSingular where the condition number of J exceeds 1e6 (or the rank is below min(6, n))."""
+        if self._surely_regular or not np.any(self.sigma[..., 0] >= REFUSE_CONDITION * self.sigma[..., -1]):
+            return
         if self.nearest_singular.condition > REFUSE_CONDITION:
             raise self.nearest_singular
+
+    @cached_property
+    def _surely_regular(self) -> bool:
+        """True where the Frobenius norms of J and J^-1, which bound the condition number, show it without singular values."""
+        if self._of.n != 6:
+            return False
+        try:
+            inverse = self.J_inverse
+        except np.linalg.LinAlgError:
+            return False
+        J = self.J
+        with np.errstate(all="ignore"):
+            bound = np.square(J).sum(axis=(-2, -1)) * np.square(inverse).sum(axis=(-2, -1))
+        return bool(np.all(bound < REFUSE_CONDITION**2))
+
+
+def _lead(q: Array, more: tuple[Array | None, ...]) -> tuple[int, ...]:
+    """The leading axes of vectors (..., n) together."""
+    lead = q.shape[:-1]
+    if all(x is None or x.ndim == 1 or x.shape[:-1] == lead for x in more):
+        return lead
+    return np.broadcast_shapes(lead, *(x.shape[:-1] for x in more if x is not None))
+
+
+@cache
+def _below(n: int) -> tuple[Ints, Ints]:
+    """Indices of the entries below the diagonal."""
+    return np.tril_indices(n, -1)
 
 
 def symmetric(upper: Array) -> Array:
     """The full symmetric matrix from the upper triangle that Pinocchio fills."""
-    n = upper.shape[-1]
-    i, j = np.tril_indices(n, -1)
+    i, j = _below(upper.shape[-1])
     upper[..., i, j] = upper[..., j, i]
     return upper
 

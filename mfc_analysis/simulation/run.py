@@ -10,12 +10,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy import integrate
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from mfc_analysis.dynamics.environment import LoseContact
 from mfc_analysis.dynamics.equations import NO_WRENCH, Equations, Inputs, Wires
 from mfc_analysis.errors import BadArgument, MfcError
-from mfc_analysis.maths.arrays import Array, Ints
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
 from mfc_analysis.simulation.touching import Event, Touching
 
@@ -130,6 +132,7 @@ class Run:
     arrived: Callable[[float], Array] | None = None  #: with dead time or sampling: the command that has reached the joints
     touching: Touching | None = field(init=False, default=None)  #: None without a one-sided surface
     _changed: bool = False  #: the last piece ended where contact changes
+    _solvers: dict[str, Any] = field(init=False, default_factory=dict)  #: ``_ending`` of each method
 
     def __post_init__(self) -> None:
         if any(s.one_sided for s in self.equations.surfaces):
@@ -145,15 +148,15 @@ class Run:
         return 1.0 if self.count is None else TOGETHER + EACH * self.count
 
     @cached_property
-    def _watched(self) -> Ints:
-        """Indices of the positions and velocities of all runs."""
-        parts, nx = self.equations.parts, self.equations.nx
-        one = np.concatenate([np.arange(nx)[parts[name].where] for name in ("q", "v", "theta", "omega") if name in parts])
-        return np.asarray(np.ravel(one + nx * np.arange(self.count or 1)[:, None]), int)
+    def _watched(self) -> int:
+        """Number of positions and velocities, the first states."""
+        parts = self.equations.parts
+        return max(int(parts[name].where.stop) for name in ("q", "v", "theta", "omega") if name in parts)
 
     def farthest(self, x: Array) -> float:
         """[rad, m, rad/s, m/s] largest position or velocity in a state of the solver."""
-        return float(np.abs(x[self._watched]).max())
+        watched = self.states(x)[..., : self._watched]
+        return float(max(watched.max(), -watched.min()))
 
     def states(self, x: Array) -> Array:
         """(nx,) the state, or (count, nx) those of all runs, from a state of the solver."""
@@ -165,8 +168,10 @@ class Run:
 
     def rates(self, t: float, x: Array, wires: Wires | None = None) -> Array:
         """Rates of the whole loop, for the solver."""
-        e = self.equations
-        found = e.flow(self.times(t), self.states(x), wires, self.inputs(t), lose_contact=self.lose_contact)
+        e, disturbance = self.equations, None if self.disturbance is None else self.disturbance(t)
+        if wires is None:
+            return np.ravel(e.rates(self.times(t), self.states(x), disturbance, lose_contact=self.lose_contact))
+        found = e.flow(self.times(t), self.states(x), wires, Inputs(disturbance=disturbance), lose_contact=self.lose_contact)
         return np.ravel(value(e.join(found.rates)))
 
     def plant_rates(self, t: float, x: Array, drive: Array) -> Array:
@@ -240,9 +245,9 @@ class Run:
             f = guard(rates, cost + SOLVER[options["method"]] / self.price)
             if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
                 options["jac"] = self._counted(jac)
-            events = [self._far(), self._used_up(), *([] if self.touching is None else [self.touching.change()])]
+            events = None if self.touching is None else [self.touching.change()]
             with np.errstate(all="ignore"):
-                return solve_ivp(f, (start, end), x, dense_output=True, events=events, **options)
+                return solve_ivp(f, (start, end), x, dense_output=True, events=events, **{**options, "method": self._ending(options["method"])})
 
         try:
             try:
@@ -255,13 +260,17 @@ class Run:
         except _Endless:
             self._give_up(start)
             return None
-        self.path.add(float(found.t[-1]), found.sol)
-        if found.t_events is not None and found.t_events[1].size:
-            self._give_up(float(found.t[-1]))
+        last, finite = float(found.t[-1]), bool(np.isfinite(found.y).all())
+        far = not finite or self.farthest(found.y[:, -1]) >= FAR
+        if far and finite and len(found.t) > 1:
+            last = self._passes(found.sol, float(found.t[-2]), last)
+        self.path.add(last, found.sol)
+        self._changed = found.status == 1
+        if far:
+            self.stop(Outcome.DIVERGED, last, f"position or velocity beyond {FAR:g}")
             return None
-        self._changed = self.touching is not None and found.t_events is not None and found.t_events[2].size > 0
-        if (found.status == 1 and not self._changed) or not np.isfinite(found.y).all():
-            self.stop(Outcome.DIVERGED, float(found.t[-1]), f"position or velocity beyond {FAR:g}")
+        if found.status == 0 and last < end:
+            self._give_up(last)
             return None
         if found.status < 0:
             outcome = Outcome.SOLVER if self.refused is None else Outcome.REFUSED
@@ -315,29 +324,35 @@ class Run:
         why = f"{self.most} evaluations of the equations are not enough to reach {self.end:g} s; max_evaluations= allows more"
         self.stop(Outcome.STOPPED, t, why)
 
-    def _used_up(self) -> Any:
-        last = np.inf
+    def _ending(self, method: str) -> Any:
+        """scipy's solver with this name, whose last step is the first that goes too far, or after which no work is left."""
+        if method not in self._solvers:
+            run = self
 
-        def left(t: float, x: Array) -> float:
-            nonlocal last
-            if self.spent >= self.most:
-                last = min(last, t)  # a step ends here: solve_ivp finds its zero at this very time
-            return last - t
+            class Ending(getattr(integrate, method)):  # type: ignore[misc]  # scipy has no types
+                status: str
 
-        left.terminal = True  # type: ignore[attr-defined]  # solve_ivp reads it there
-        return left
+                def step(self) -> Any:
+                    message = super().step()
+                    if self.status == "running" and (run.spent >= run.most or run.farthest(self.y) >= FAR):
+                        self.status = "finished"
+                    return message
 
-    def _far(self) -> Any:
-        def left(t: float, x: Array) -> float:
-            return FAR - self.farthest(x)
+            self._solvers[method] = Ending
+        return self._solvers[method]
 
-        left.terminal = True  # type: ignore[attr-defined]  # solve_ivp reads it there
-        return left
+    def _passes(self, path: Piece, before: float, after: float) -> float:
+        """[s] where the path passes the limit in a step."""
+
+        def left(t: float) -> float:
+            return FAR - self.farthest(path(t))
+
+        return float(brentq(left, before, after, xtol=1e-15, rtol=1e-15)) if left(before) > 0 > left(after) else after
 
 
 def bounded(rates: Array) -> Array:
     """The rates unchanged. Raises BadArgument above ``FASTEST``, where the solver would not finish."""
-    if not np.abs(rates).max() < FASTEST:
+    if not -FASTEST < rates.min() <= rates.max() < FASTEST:
         raise BadArgument("the motion", f"rates of {np.abs(rates).max():.3g}", f"state rates below {FASTEST:g}")
     return rates
 

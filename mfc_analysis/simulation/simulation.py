@@ -208,7 +208,7 @@ def _signals(run: Run, t: Array, x: Array) -> tuple[Array, Array, Flow]:
     while True:
         try:
             disturbance = None if run.disturbance is None else np.stack([run.disturbance(float(ti)) for ti in t])
-            return t, x, run.equations.flow(t, x, None, Inputs(disturbance=disturbance), lose_contact=True)
+            return t, x, run.equations.signals(t, x, Inputs(disturbance=disturbance), lose_contact=True)
         except MfcError:
             if run.outcome is not Outcome.REFUSED or len(t) == 1:
                 raise

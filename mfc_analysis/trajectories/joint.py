@@ -152,6 +152,8 @@ class Sinusoid(JointReference):
     _amplitude: Array = field(init=False, repr=False)
     _frequency: Array = field(init=False, repr=False)
     _phase: Array = field(init=False, repr=False)
+    _speed: Array = field(init=False, repr=False)  #: largest v
+    _minus_square: Array = field(init=False, repr=False)  #: a for each unit of the swing
 
     def __post_init__(self) -> None:
         center = _position("center", self.center)
@@ -160,6 +162,7 @@ class Sinusoid(JointReference):
         frequency = checks.per_joint("frequency", self.frequency, n, low=0.0)
         _set(self, center=center, amplitude=amplitude, frequency=frequency, phase=phase)
         _set(self, _center=center, _amplitude=amplitude, _frequency=frequency, _phase=phase)
+        _set(self, _speed=amplitude * frequency, _minus_square=-(frequency**2))
 
     @property
     def n(self) -> int:
@@ -177,10 +180,9 @@ class Sinusoid(JointReference):
         return least_common_period(self._frequency[self._amplitude * self._frequency != 0])
 
     def _at(self, t: Array) -> JointPoint:
-        w = self._frequency
-        angle = t[..., None] * w + self._phase
+        angle = t[..., None] * self._frequency + self._phase
         swing = self._amplitude * np.sin(angle)
-        return JointPoint(self._center + swing, self._amplitude * w * np.cos(angle), -(w * w) * swing)
+        return JointPoint(self._center + swing, self._speed * np.cos(angle), self._minus_square * swing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,6 +330,8 @@ def quintic(t: Array, duration: float) -> tuple[Array, Array, Array]:
 
 def time_array(t: ArrayLike) -> Array:
     """Times [s] as a float array. Raises ``BadArgument`` where one is not finite."""
+    if type(t) is float and math.isfinite(t):  # of a simulation
+        return np.asarray(t)
     return checks.array("t", t, takes="finite times [s]")
 
 

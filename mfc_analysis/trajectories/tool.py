@@ -5,6 +5,7 @@ V is the body twist of the reference, (linear, angular) in its own frame X; dV i
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -54,6 +55,8 @@ class _Turning:
         return _Turning(R0, axis, W, R0 @ W, R0 @ W @ W)
 
     def point(self, m: _Motion) -> ToolPoint:
+        if not m.angle.ndim:
+            return self._one(m)
         X = np.zeros((*m.angle.shape, 4, 4))
         angle, rate = m.angle[..., None, None], m.dangle[..., None]
         X[..., :3, :3] = R = self.R0 + np.sin(angle) * self.R0W + (1.0 - np.cos(angle)) * self.R0W2
@@ -63,6 +66,17 @@ class _Turning:
         V[..., 3:] = rate * self.axis
         dV[..., :3] = (m.ddp[..., None, :] @ R)[..., 0, :] + rate * (v @ self.W)  # v @ W = v x axis
         dV[..., 3:] = m.ddangle[..., None] * self.axis
+        return ToolPoint(X, V, dV)
+
+    def _one(self, m: _Motion) -> ToolPoint:
+        """The same at one time, as in a simulation."""
+        X, V, dV = np.zeros((4, 4)), np.empty(6), np.empty(6)
+        X[:3, :3] = R = self.R0 + math.sin(m.angle) * self.R0W + (1.0 - math.cos(m.angle)) * self.R0W2
+        X[:3, 3], X[3, 3] = m.p, 1.0
+        V[:3] = v = m.dp @ R
+        V[3:] = m.dangle * self.axis
+        dV[:3] = m.ddp @ R + m.dangle * (v @ self.W)
+        dV[3:] = m.ddangle * self.axis
         return ToolPoint(X, V, dV)
 
 
