@@ -125,8 +125,10 @@ class HybridMotionForce(ToolLaw):
         inertia = np.asarray(np.linalg.inv(model.at(value(q)).Lambda), float)
         S = np.asarray(np.linalg.inv(A @ inertia @ A.T), float)
         held = times(S, matvec_plain(A, times(inertia, value(f)) - value(c)))
-        rest = matvec(A, model.mobility(q, f - held @ A) - c)  # its value is 0; its tangent is that of the implicit rule
-        multiplier = held + matvec(S, rest) if isinstance(rest, Dual) else held
+        multiplier: Vector = held
+        if any(isinstance(x, Dual) for x in (q, c, f)):
+            rest = matvec(A, model.mobility(q, f - held @ A) - c)  # its value is 0; its tangent is that of the implicit rule
+            multiplier = held + matvec(S, rest)
         return model.task_mass(q, c - minus) + matvec(A.T, multiplier)
 
 

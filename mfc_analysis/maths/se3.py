@@ -40,7 +40,10 @@ def cross(a: Array, b: Array) -> Array:
         return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    x = ay * bz - az * by
+    out = np.empty((*x.shape, 3))
+    out[..., 0], out[..., 1], out[..., 2] = x, az * bx - ax * bz, ax * by - ay * bx
+    return out
 
 
 def ad(V: Array) -> Array:
@@ -144,8 +147,11 @@ def log6(X: Array) -> Array:
     """Poses (..., 4, 4) -> twists (..., 6), exact for rotation angles below pi."""
     if X.ndim == 2:
         return _log6_of_one(X[:3, :3], X[:3, 3])[0]
-    w = log3(X[..., :3, :3])
-    p = X[..., :3, 3]
+    return _with_rotation(log3(X[..., :3, :3]), X[..., :3, 3])
+
+
+def _with_rotation(w: Array, p: Array) -> Array:
+    """``log6`` of poses with positions p, whose rotations have the logarithms w."""
     wp = cross(w, p)
     c = _one_minus_alpha_over_s(np.sum(w * w, axis=-1))
     return np.concatenate([p - 0.5 * wp + c[..., None] * cross(w, wp), w], axis=-1)
@@ -290,8 +296,7 @@ class Pose:
             if angle > MOST:
                 raise NearPi(angle)
             return xi
-        rotation_vector(self.R)
-        xi = log6(self.matrix)
+        xi = _with_rotation(rotation_vector(self.R), self.p)
         return xi if self.twist is None else Dual(xi, Jlog6(xi) @ self.twist)
 
 

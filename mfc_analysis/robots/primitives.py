@@ -450,7 +450,10 @@ def cross_columns(a: Array, b: Array) -> Array:
     """Cross products of the columns of (..., 3, n) arrays."""
     ax, ay, az = a[..., 0, :], a[..., 1, :], a[..., 2, :]
     bx, by, bz = b[..., 0, :], b[..., 1, :], b[..., 2, :]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-2)
+    x = ay * bz - az * by
+    out = np.empty((*x.shape[:-1], 3, x.shape[-1]))
+    out[..., 0, :], out[..., 1, :], out[..., 2, :] = x, az * bx - ax * bz, ax * by - ay * bx
+    return out
 
 
 def bracket_columns(V: Array, W: Array) -> Array:

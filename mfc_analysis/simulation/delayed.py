@@ -29,20 +29,23 @@ RECORDING = 4
 COUPLED = 0.1
 #: repetitions of that until they agree, and how closely: part of the solver's tolerance
 REPEATED, AGREED = 30, 0.01
+NO_ZERO = 1.2345e-30
 _WEIGHTS = np.array([0.5, -1, 1, -1, 1, -1, 1, -1, 0.5])
-_CHEBYSHEV = chebyshev.chebvander(2 * NODES - 1, 8)
+#: (9, 9) from samples at the nodes to the Chebyshev coefficients of their polynomial
+COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(2 * NODES - 1, 8))
 #: (9, 9) from samples at the nodes to the integrals from 0 to the nodes
-INTEGRALS = 0.5 * chebyshev.chebval(2 * NODES - 1, chebyshev.chebint(np.eye(9), lbnd=-1.0)).T @ np.linalg.inv(_CHEBYSHEV)
+INTEGRALS = 0.5 * chebyshev.chebval(2 * NODES - 1, chebyshev.chebint(np.eye(9), lbnd=-1.0)).T @ COEFFICIENTS
 
 
 def at_nodes(s: Array) -> Array:
     """(..., 9) weights of the samples at the nodes, for their polynomial at s (...,) in [0, 1]."""
-    apart = s[..., None] - NODES
-    hit = np.abs(apart) < 1e-12
-    w = _WEIGHTS / np.where(hit, 1.0, apart)
-    if hit.any():
-        w = np.where(hit.any(axis=-1, keepdims=True), hit, w)
+    w = _WEIGHTS / (s[..., None] - NODES + NO_ZERO)  # at a node its weight outdoes the others
     return np.asarray(w / w.sum(axis=-1, keepdims=True))
+
+
+def combined(weights: Array, samples: Array) -> Array:
+    """(m, ...) sums of samples (9, ...) with weights (m, 9)."""
+    return np.asarray(weights @ samples.reshape(len(samples), -1)).reshape(-1, *samples.shape[1:])
 
 
 class History:
@@ -67,6 +70,14 @@ class History:
         i = max(bisect_right(self.starts, side) - 1, 0)
         return np.asarray(np.dot(at_nodes(np.asarray((t - self.starts[i]) / self.lengths[i])), self.samples[i])).reshape(self.first.shape)
 
+    def along(self, times: Array, towards: Array) -> Array:
+        """The signal at times (m,) [s], each on its side."""
+        sides = (times + ASIDE * towards).tolist()
+        i = bisect_right(self.starts, sides[0]) - 1
+        if i < 0 or any(bisect_right(self.starts, side) - 1 != i for side in sides[1:]):
+            return np.stack([self.at(*one) for one in zip(times.tolist(), towards.tolist(), strict=True)])
+        return np.asarray(at_nodes((times - self.starts[i]) / self.lengths[i]) @ self.samples[i]).reshape(-1, *self.first.shape)
+
 
 @dataclass(frozen=True, eq=False)
 class WithOwn:
@@ -82,7 +93,7 @@ class WithOwn:
     def __call__(self, t: float | Array) -> Array:
         out = np.array(self.plant(t))
         w = at_nodes((np.atleast_1d(t) - self.begin) / self.length)
-        own = np.tensordot(w, self.samples, axes=1)  # (m, ..., r)
+        own = combined(w, self.samples)  # (m, ..., r)
         each = out.reshape(*self.samples.shape[1:-1], self.nx, -1)
         each[..., self.own, :] = np.moveaxis(own, 0, -1)
         return out
@@ -134,8 +145,8 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
         length = stop - begin
         t = begin + NODES * length
         each = t if not lead else np.repeat(t[:, None], lead[0], axis=1)
-        states = run.path.along(t).reshape(len(t), *first.shape)
-        late = {name: np.stack([history[name].at(ti - d, begin + 0.5 * length - ti) for ti in t.tolist()]) for name, d in delays.items()}
+        states = run.path.pieces[-1](t).T.reshape(len(t), *first.shape)
+        late = {name: history[name].along(t - d, begin + 0.5 * length - t) for name, d in delays.items()}
         try:
             repeated, recorded = 0, Wires(late)
             while True:
@@ -145,7 +156,7 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
                 if not apart or not own.size:
                     break
                 before = states[..., own]
-                found = before[:1] + length * np.tensordot(INTEGRALS, e.state_rates(changes, states.shape[:-1])[..., own], axes=1)
+                found = before[:1] + length * combined(INTEGRALS, e.state_rates(changes, states.shape[:-1])[..., own])
                 states[..., own] = found
                 if np.abs(found - before).max() <= AGREED * (run.options["atol"] + run.options["rtol"] * np.abs(found).max()):
                     break

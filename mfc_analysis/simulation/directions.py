@@ -109,9 +109,12 @@ def _climbed(e: Equations, base: Simulation, basis: Array, starts: Array, size: 
         if (worst >= 0).mean() >= FOLLOWED:
             break
     c = starts[np.argsort(-worst, kind="stable")[: max(2, CLIMBERS * STEPS_ALONG[0] // steps)]]  # the more steps, the fewer directions
+    moved_none = 0.0  #: the last step that moved no direction
     for step in PATTERN:
         if worst.max() < NOTHING:
             return []
+        if step == moved_none:
+            continue
         size = min(size * float(np.clip(MISFIT / worst.max(), 0.3, 3.0)), LARGEST)
         turn = np.where(c > 0, -1.0, 1.0)  # each entry towards 0
         reached = misfits(np.concatenate([c[:, None], _inside(c[:, None] + step * turn[:, None] * np.eye(k), n)], axis=1))
@@ -123,6 +126,7 @@ def _climbed(e: Equations, base: Simulation, basis: Array, starts: Array, size: 
         tried = np.concatenate([c[:, None], _inside(c[:, None] + step * some * turn[:, None], n)], axis=1)
         reached = misfits(tried)
         best = reached.argmax(axis=1)
+        moved_none = 0.0 if best.any() else step
         c, worst = tried[np.arange(len(c)), best], reached[np.arange(len(c)), best]
     return [(size / float(worst[i]), c[i]) for i in np.argsort(-worst, kind="stable") if worst[i] > 0]
 

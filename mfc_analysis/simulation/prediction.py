@@ -5,10 +5,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from mfc_analysis.analysis.floquet import gauss_nodes, transition_magnus
 from mfc_analysis.analysis.sampled import sampled
@@ -16,11 +15,14 @@ from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import open_system
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.simulation.delayed import NODES, History, segments
+from mfc_analysis.simulation.delayed import COEFFICIENTS, INTEGRALS, NODES, History, at_nodes, combined, segments
 from mfc_analysis.simulation.sampled import own_states_step
 from mfc_analysis.simulation.simulation import Simulation
 
-FINE: dict[str, Any] = {"rtol": 1e-11, "atol": 1e-13}  #: below the tolerance of the runs of ``validate``
+FINE = 1e-11  #: relative accuracy, below the tolerance of the runs of ``validate``
+SUBSTITUTIONS, ROUNDING = 60, 1e-14  #: largest number of repetitions, and the relative change at which they end
+SHORTEST = 1e-3  #: of a segment: its shortest part
+OnSegment = Callable[[Array], Array]
 
 
 def delayed(e: Equations, base: Simulation, t: Array, directions: Array) -> Array:
@@ -37,42 +39,77 @@ def delayed(e: Equations, base: Simulation, t: Array, directions: Array) -> Arra
     late = system.wire_delay > 0
     nu, ny, T = system.nu, system.ny, system.wire_delay[late]
     A, B, C, D = close_wires(system, late)
-    along = [_Cubic(M, edges) for M in (A, B[:, :, nu:], C[:, ny:], D[:, ny:, nu:])]
-    At, Bt, Ct, Dt = along
+    along = (A, B[:, :, nu:], C[:, ny:], D[:, ny:, nu:])
     out = np.empty((len(t), *directions.shape))
-    x = directions.copy()
-    past = History(float(t[0]), np.asarray(np.linalg.solve(np.eye(late.sum()) - D[0, ny:, nu:], C[0, ny:] @ x), float))
-
-    def arriving(at: float) -> Array:
-        return np.array([past.at(at - Ti)[i] for i, Ti in enumerate(T)])
+    x = directions.reshape(e.nx, -1)
+    past = History(float(t[0]), np.asarray(np.linalg.solve(np.eye(late.sum()) - along[3][0], along[2][0] @ x), float))
+    kinds = [(delay, delay == T) for delay in np.unique(T)]
 
     for k in range(whole):
         start, stop = float(edges[k]), float(edges[k + 1])
 
-        def rates(at: float, flat: Array, k: int = k) -> Array:
-            return np.asarray(np.ravel(At.at(k, at) @ flat.reshape(directions.shape) + Bt.at(k, at) @ arriving(at)))
+        def arriving(times: Array, middle: float = 0.5 * (start + stop)) -> Array:
+            w = np.empty((len(times), *past.first.shape))
+            for delay, channels in kinds:
+                w[:, channels] = past.along(times - delay, middle - times)[:, channels]
+            return w
 
-        found = solve_ivp(rates, (start, stop), np.ravel(x), method="DOP853", first_step=stop - start, dense_output=True, **FINE)
+        At, Bt, Ct, Dt = (_cubic(M[3 * k : 3 * k + 4]) for M in along)
+        w = arriving(start + NODES * (stop - start))
+
+        def forcing(s: Array, start: float = start, stop: float = stop, w: Array = w) -> Array:
+            return np.asarray(Bt(s) @ (w if s is NODES else arriving(start + s * (stop - start))))  # noqa: B023  # called at once
+
+        piece = _solved(At, forcing, stop - start, x)
         inside = np.flatnonzero((t >= start - 1e-12) & (t <= stop + 1e-12))
         if inside.size:
-            out[inside] = found.sol(t[inside]).T.reshape(-1, *x.shape)
-        nodes = np.asarray(start + NODES * (stop - start), float)
-        pairs = zip(nodes, found.sol(nodes).T.reshape(-1, *x.shape), strict=True)
-        past.add(start, stop - start, np.stack([Ct.at(k, float(ti)) @ xi + Dt.at(k, float(ti)) @ arriving(float(ti)) for ti, xi in pairs]))
-        x = found.y[:, -1].reshape(x.shape)
+            out[inside] = piece((t[inside] - start) / (stop - start)).reshape(-1, *directions.shape)
+        past.add(start, stop - start, Ct(NODES) @ piece(NODES) + Dt(NODES) @ w)
+        x = piece(NODES[-1:])[0]
     return out
 
 
-class _Cubic:
-    """Matrices along the path: in each segment the cubic through its ends and thirds."""
+def _cubic(M: Array) -> OnSegment:
+    """s (m,) in [0, 1] -> (m, i, j): the cubic through matrices (4, i, j) at the ends and thirds of a segment."""
 
-    def __init__(self, M: Array, edges: Array) -> None:
-        self.M, self.edges = M, edges
+    def at(s: Array) -> Array:
+        r = 3 * s
+        w = [-(r - 1) * (r - 2) * (r - 3) / 6, r * (r - 2) * (r - 3) / 2, -r * (r - 1) * (r - 3) / 2, r * (r - 1) * (r - 2) / 6]
+        return np.asarray(np.tensordot(np.stack(w, axis=1), M, axes=1))
 
-    def at(self, k: int, t: float) -> Array:
-        s = 3 * (t - self.edges[k]) / (self.edges[k + 1] - self.edges[k])
-        w = [-(s - 1) * (s - 2) * (s - 3) / 6, s * (s - 2) * (s - 3) / 2, -s * (s - 1) * (s - 3) / 2, s * (s - 1) * (s - 2) / 6]
-        return np.asarray(np.tensordot(w, self.M[3 * k : 3 * k + 4], axes=1))
+    return at
+
+
+def _solved(A: OnSegment, forcing: OnSegment, length: float, x: Array, low: float = 0.0, high: float = 1.0) -> OnSegment:
+    """x' = A x + forcing over a segment of ``length`` [s], from x (nx, k): s (m,) in [0, 1] -> (m, nx, k).
+
+    The integral equation at the nodes by repeated substitution, which converges as a power series of an exponential does. Where the polynomial
+    through the nodes is not accurate to ``FINE`` the segment is solved in halves.
+    """
+    s = NODES if high - low == 1.0 else low + (high - low) * NODES
+    A_s, forced, h = A(s), forcing(s), (high - low) * length
+    fixed = x + h * combined(INTEGRALS, forced)
+    found = fixed
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(SUBSTITUTIONS):
+            before, found = found, fixed + h * combined(INTEGRALS, A_s @ found)
+            size = np.abs(found).max(axis=(0, 1))
+            if not np.any(np.abs(found - before).max(axis=(0, 1)) > ROUNDING * size):
+                break
+        rough = np.abs(combined(COEFFICIENTS[-2:], found)).max(axis=(0, 1)) > FINE * size
+    if not np.any(rough) or high - low < SHORTEST:
+        return lambda at: combined(at_nodes((at - low) / (high - low)), found)
+    middle = 0.5 * (low + high)
+    first = _solved(A, forcing, length, x, low, middle)
+    second = _solved(A, forcing, length, first(np.array([middle]))[0], middle, high)
+
+    def joined(at: Array) -> Array:
+        out = np.empty((len(at), *x.shape))
+        early = at <= middle
+        out[early], out[~early] = first(at[early]), second(at[~early])
+        return out
+
+    return joined
 
 
 # --- sampled loops -----------------------------------------------------------------------------------------------

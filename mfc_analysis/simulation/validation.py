@@ -29,8 +29,8 @@ ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between
 WORK = 1.5  #: times the evaluations that one run may take, for all runs of a validation
 REGULAR, LEAST = 0.05, 1e-2  #: agreement of two slopes of a remainder below the solver's error, and the part of that error it exceeds
 CLOSE = 0.01  #: relative accuracy of the radius
-FAN = 2  #: sizes above and below the one where a direction is to have its radius, run with it
-NEAR = 0.05  #: relative difference of two sizes up to which the misfit is in proportion
+FIRST, LATER = (-6, 1), (-2, 2)  #: sizes below and above the one where a direction is to have its radius, run with it: the first is often too large
+NEAR = 0.1  #: relative difference of two sizes up to which the misfit is in proportion
 LOOSE: dict[str, Any] = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius
 
 Case = tuple[Array, float]  #: direction (nx,) and size of a disturbance
@@ -209,7 +209,7 @@ def _worst(runs: _Disturbed, tried: list[Candidate], least: float) -> tuple[floa
     """
     direction, others = tried[0].direction, [candidate.direction for candidate in tried[1:]]
     size = float(np.clip(MISFIT * tried[0].reach, least, LARGEST))
-    sizes = _about(size, 0.0, np.inf, least)
+    sizes = _about(size, FIRST, 0.0, np.inf, least)
     found = runs.together([(direction, s) for s in sizes] + [(other, size) for other in others])
     known = dict(zip(sizes, found, strict=False)) or {size: runs.misfits([(direction, size)])[0]}
     radius, found = _radius(runs, direction, known, least), found[len(sizes) :]
@@ -249,14 +249,14 @@ def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least
             size = max(min(size, (1 - CLOSE) * high), least)
         elif not low < size < high:
             size = float(np.sqrt(low * high))
-        sizes = _about(size, low, high, least) if 0.5 < change < 2 else [size]
+        sizes = _about(size, LATER, low, high, least) if 0.5 < change < 2 else [size]
         found = runs.together([(direction, s) for s in sizes]) or runs.misfits([(direction, size)])
         known.update(zip(sizes if len(found) > 1 else [size], found, strict=True))
 
 
-def _about(size: float, low: float, high: float, least: float) -> list[float]:
+def _about(size: float, among: tuple[int, int], low: float, high: float, least: float) -> list[float]:
     """A size, and some below and above, closer than ``CLOSE``, that are between known ones and within the sizes that are tried."""
-    sizes = np.clip(size * (1 + 0.9 * CLOSE) ** np.arange(-FAN, FAN + 1), least, LARGEST)
+    sizes = np.clip(size * (1 + 0.9 * CLOSE) ** np.arange(among[0], among[1] + 1), least, LARGEST)
     return [float(s) for s in np.unique(sizes) if low < s < high]
 
 
