@@ -298,6 +298,27 @@ def simulation() -> None:
     )
 
 
+def validation() -> None:
+    """Linear prediction against disturbed runs over 1 s: about 20 runs."""
+    alone = {"rtol": 1e-10, "atol": 1e-12}
+    robot = mfc.robots.ur5()
+    X0 = robot.pose(Q0)
+    wall = mfc.Environment(1e4, 10.0, pose=X0, axes="z", preload=10.0)
+    law = mfc.laws.HybridMotionForce([0, 0, 10, 0, 0, 0], 100, None, 20, 0.5, 2.0, 30, constraints=np.eye(6)[[2]])
+    flat = mfc.trajectories.ToolSinusoid(X0, [0.05, 0.0, 0.0], 1.5)
+    joint = wrong_model_loop()
+    late = mfc.ClosedLoop(joint.robot, joint.law, joint.ref, controller_model=robot, hardware=mfc.Hardware(delay=2e-3))
+    hybrid = mfc.ClosedLoop(joint.robot, law, flat, controller_model=robot, q_start=Q0, environment=wall)
+    for name, loop, rounds in (("9.10", joint, 7), ("9.24", hybrid, 3), ("9.10 with 2 ms of dead time", late, 3)):
+        row(
+            f"validation over 1 s ({name})",
+            "one of its runs alone, rtol 1e-10",
+            paired(lambda loop=loop: loop.validate(1.0), lambda loop=loop: loop.simulate(1.0, 0.01, **alone), rounds),
+            1,
+            "<= 3" if loop is joint else "for information",
+        )
+
+
 def task_space() -> None:
     """Linearisation with tool-space and hybrid laws."""
     robot = mfc.robots.ur5()
@@ -396,7 +417,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[])
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
-    for part in (linearising, margins, steps, simulation, task_space, robustness):
+    for part in (linearising, margins, steps, simulation, validation, task_space, robustness):
         if not asked.only or part.__name__ in asked.only:
             part()
     if asked.out:

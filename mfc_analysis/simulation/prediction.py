@@ -60,7 +60,7 @@ def delayed(e: Equations, base: Simulation, t: Array, directions: Array) -> Arra
         def forcing(s: Array, start: float = start, stop: float = stop, w: Array = w) -> Array:
             return np.asarray(Bt(s) @ (w if s is NODES else arriving(start + s * (stop - start))))  # noqa: B023  # called at once
 
-        piece = _solved(At, forcing, stop - start, x)
+        piece = solved(At, forcing, stop - start, x)
         inside = np.flatnonzero((t >= start - 1e-12) & (t <= stop + 1e-12))
         if inside.size:
             out[inside] = piece((t[inside] - start) / (stop - start)).reshape(-1, *directions.shape)
@@ -80,7 +80,7 @@ def _cubic(M: Array) -> OnSegment:
     return at
 
 
-def _solved(A: OnSegment, forcing: OnSegment, length: float, x: Array, low: float = 0.0, high: float = 1.0) -> OnSegment:
+def solved(A: OnSegment, forcing: OnSegment, length: float, x: Array, low: float = 0.0, high: float = 1.0) -> OnSegment:
     """x' = A x + forcing over a segment of ``length`` [s], from x (nx, k): s (m,) in [0, 1] -> (m, nx, k).
 
     The integral equation at the nodes by repeated substitution, which converges as a power series of an exponential does. Where the polynomial
@@ -96,12 +96,12 @@ def _solved(A: OnSegment, forcing: OnSegment, length: float, x: Array, low: floa
             size = np.abs(found).max(axis=(0, 1))
             if not np.any(np.abs(found - before).max(axis=(0, 1)) > ROUNDING * size):
                 break
-        rough = np.abs(combined(COEFFICIENTS[-2:], found)).max(axis=(0, 1)) > FINE * size
+        rough = np.abs(combined(np.asarray(COEFFICIENTS[-2:], float), found)).max(axis=(0, 1)) > FINE * size
     if not np.any(rough) or high - low < SHORTEST:
         return lambda at: combined(at_nodes((at - low) / (high - low)), found)
     middle = 0.5 * (low + high)
-    first = _solved(A, forcing, length, x, low, middle)
-    second = _solved(A, forcing, length, first(np.array([middle]))[0], middle, high)
+    first = solved(A, forcing, length, x, low, middle)
+    second = solved(A, forcing, length, first(np.array([middle]))[0], middle, high)
 
     def joined(at: Array) -> Array:
         out = np.empty((len(at), *x.shape))

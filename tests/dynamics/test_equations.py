@@ -144,3 +144,26 @@ def test_the_drawing_shows_every_wire() -> None:
     drawn = mfc_analysis.dynamics.equations.__doc__ or ""
     for wire in ("torque", "velocity", "command", "position", "rate", "force"):
         assert f'"{wire}"' in drawn
+
+
+@pytest.mark.parametrize("case", LAWS, ids=lambda case: case.name)
+def test_rates_and_signals_are_those_of_the_flow(case: Case) -> None:
+    """Of one state, of several, and with hardware: the shorter ways of a simulation give the same numbers."""
+    name = next(name for name in ("ur5", "panda", "planar_2r") if fits(case, name))
+    loop, x = state(case, name)
+    e = loop.equations
+    disturbance = 0.3 * np.ones(e.n)
+    flow = e.flow(T, x, None, Inputs(disturbance=disturbance))
+    want = value(e.join(flow.rates))
+    assert_allclose(e.rates(T, x, disturbance), want, rtol=1e-9, atol=1e-9)
+    for i in range(len(T)):
+        assert_allclose(e.rates(float(T[i]), x[i], disturbance), want[i], rtol=1e-7, atol=1e-9 * np.abs(want).max())
+    signals = e.signals(T, x, Inputs(disturbance=disturbance))
+    for one in ("error", "command", "F_tip"):
+        assert_allclose(value(getattr(signals, one)), value(getattr(flow, one)), rtol=1e-9, atol=1e-9)
+
+
+def test_rates_of_some_slots_leave_the_others_at_0() -> None:
+    e = ClosedLoop(arm("ur5"), L.ComputedTorque(100.0, 80.0, 20.0), Hold(regular_pose("ur5"))).equations
+    out = e.state_rates({"z": np.ones(6)}, (3,))
+    assert out.shape == (3, 18) and not out[:, :12].any() and np.all(out[:, 12:] == 1)

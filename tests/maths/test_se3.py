@@ -148,3 +148,28 @@ def test_what_is_no_pose_is_refused(X: object) -> None:
 def test_a_pinocchio_pose_is_a_pose() -> None:
     X = se3.exp6(with_angle(1.0))
     assert_allclose(se3.pose_matrix("X", pin.SE3(X)), X, atol=1e-15)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_one_pose_gives_what_a_batch_gives(angle: float) -> None:
+    V, W = with_angle(angle), with_angle(0.7, 1)
+    X = se3.exp6(V)
+    assert_allclose(se3.log6(X), se3.log6(X[None])[0], rtol=1e-12, atol=1e-15)
+    assert_allclose(se3.log6(X), V, atol=1e-10)
+    assert_allclose(se3.cross(V[:3], W[:3]), np.cross(V[:3], W[:3]), atol=1e-15)
+    assert_allclose(se3.bracket(V, W), se3.bracket(V[None], W[None])[0], atol=1e-14)
+    one, batch = Pose.of(X), Pose.of(X[None])
+    assert_allclose(one.adjoint(W), batch.adjoint(W[None])[0], atol=1e-14)
+    assert_allclose(one.adjoint(W), se3.adjoint(X) @ W, atol=1e-14)
+    assert_allclose(one.log(), batch.log()[0], rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("short", [0.9e-3, 1.1e-3])
+def test_one_pose_near_pi_is_refused_as_in_a_batch(short: float) -> None:
+    X = se3.exp6(with_angle(np.pi - short))
+    for pose in (Pose.of(X), Pose.of(X[None])):
+        if short < 1e-3:
+            with pytest.raises(NearPi):
+                pose.log()
+        else:
+            assert np.isfinite(pose.log()).all()

@@ -208,3 +208,48 @@ def test_a_payload_at_the_tool_is_a_body_there() -> None:
     J_com = J[:3] - np.array([[0, -com[2], com[1]], [com[2], 0, -com[0]], [-com[1], com[0], 0]]) @ J[3:]
     assert_allclose(loaded.mass(q) - bare.mass(q), m * J_com.T @ J_com + J[3:].T @ I @ J[3:], atol=1e-10)
     assert_allclose(loaded.gravity(q) - bare.gravity(q), m * 9.81 * J_com.T @ X[:3, :3].T @ [0, 0, 1], atol=1e-10)
+
+
+@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("which", PRIMITIVES)
+def test_one_point_gives_what_a_batch_gives(name: str, which: str) -> None:
+    """One point goes to Pinocchio as it is, where the arm allows it."""
+    P, rng = Primitives(EVERY[name]), seed(name, which)
+    q, v, a, f = rng.uniform(-1, 1, (3, P.n)), rng.normal(size=(3, P.n)), rng.normal(size=(3, P.n)), rng.normal(size=(3, 6))
+    if name in ROBOTS:
+        q += regular_pose(name)
+    call = PRIMITIVES[which](P)
+    try:
+        batch = call(q, v, a, f)
+    except NearSingular:
+        with pytest.raises(NearSingular):
+            for i in range(3):
+                call(q[i], v[i], a[i], f[i])
+        return
+    single = [call(q[i], v[i], a[i], f[i]) for i in range(3)]
+    assert_allclose(np.stack(single), batch, rtol=1e-9, atol=1e-12 * np.abs(batch).max())
+
+
+def test_a_result_is_kept_when_the_next_call_overwrites_the_data_of_pinocchio() -> None:
+    P, rng = Primitives(arm("ur5")), seed("kept")
+    q, v, a = rng.normal(size=(3, 6))
+    for call in (P.rnea, P.aba, lambda q, v, a: P.jacobian_dot(q, v), lambda q, v, a: P.at(q).M):
+        first = call(q, v, a)
+        copy = np.array(first)
+        call(q + 1.0, v + 1.0, a)
+        assert np.array_equal(first, copy)
+
+
+@pytest.mark.parametrize(("angle", "refused"), [(5e-6, False), (4e-6, True), (0.0, True)])
+def test_a_jacobian_is_refused_by_its_condition_number_even_where_its_inverse_exists(angle: float, refused: bool) -> None:
+    """UR5 with the fifth joint near 0, where the fourth and the sixth axis are parallel."""
+    P, q = Primitives(arm("ur5")), np.array([0.3, -1.2, 1.5, -0.8, angle, 0.3])
+    condition = np.linalg.cond(P.at(q).J)
+    assert (condition > 1e6) == refused
+    for at in (P.at(q), P.at(q[None])):
+        if refused:
+            with pytest.raises(NearSingular) as why:
+                at.check_regular()
+            assert why.value.condition > 1e6
+        else:
+            at.check_regular()

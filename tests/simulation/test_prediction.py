@@ -8,13 +8,14 @@ from math import factorial
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 
 from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.loop import ClosedLoop
-from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
+from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest, solved
 from mfc_analysis.simulation.simulation import Simulation
 from mfc_analysis.trajectories import Hold
 from tests.conftest import arm, moving, plant, regular_pose
@@ -142,3 +143,16 @@ def test_many_directions_at_once_are_each_of_them_alone() -> None:
         base = base_of(loop, t)
         alone = [predict(loop.equations, base, t, d) for d in directions.T]
         assert_allclose(predict(loop.equations, base, t, directions), np.stack(alone, axis=2), atol=1e-12)
+
+
+def test_a_linear_equation_with_forcing_is_solved_to_rounding_whatever_its_length() -> None:
+    """x' = A x + b t: by the exponential of the block matrix. A segment too long for one polynomial is halved."""
+    A = np.array([[0.0, 1.0], [-2500.0, -30.0]])
+    b, x = np.array([[0.0], [40.0]]), np.array([[1.0], [0.0]])
+    block = np.zeros((4, 4))
+    block[:2, :2], block[:2, 2:3], block[2, 3] = A, b, 1.0
+    for length in (1e-3, 0.02, 0.5):
+        found = solved(lambda s: np.repeat(A[None], len(s), axis=0), lambda s, length=length: b * (s * length)[:, None, None], length, x)
+        for s in (0.0, 0.3, 1.0):
+            exact = expm(block * s * length) @ np.array([1.0, 0.0, 0.0, 1.0])
+            assert_allclose(found(np.array([s]))[0, :, 0], exact[:2], atol=2e-10 * max(1.0, 50 * length))

@@ -137,3 +137,11 @@ def test_bad_arguments_are_refused_by_name(make, names):
     with pytest.raises(errors.BadArgument) as info:
         make()
     assert info.value.argument == names
+
+
+@pytest.mark.parametrize("ref", REFS, ids=NAMES)
+def test_one_time_gives_what_many_give(ref):
+    times = np.array([0.0, 0.3, 1.7, 2.5])
+    for k, t in enumerate(times):
+        for one, many in zip(ref(float(t)), ref(times), strict=True):
+            assert_allclose(one, many[k], atol=1e-14)
