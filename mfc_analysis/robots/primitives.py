@@ -346,7 +346,18 @@ class Configuration:
     @property
     def J(self) -> Array:
         """Body Jacobian (..., 6, n)."""
-        return self._kinematics[0]
+        return self._kinematics[0] if "_kinematics" in vars(self) else self._J
+
+    @cached_property
+    def _J(self) -> Array:
+        """J where the pose is not needed: two thirds of the time."""
+        of = self._of
+        model, data, frame = of._model, of._data, of.robot.frame_id
+        points = of._configurations(self.q)
+        J = np.empty((len(points), 6, of.n))
+        for i, at in enumerate(points):
+            J[i] = pin.computeFrameJacobian(model, data, at, frame, pin.LOCAL).reshape(6, of.n)  # (6,) for a single joint
+        return of._unordered(J).reshape(*self.q.shape[:-1], 6, of.n)
 
     @property
     def R(self) -> Array:

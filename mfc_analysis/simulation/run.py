@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import integrate
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from mfc_analysis.dynamics.environment import LoseContact
 from mfc_analysis.dynamics.equations import NO_WRENCH, Equations, Inputs, Wires
@@ -155,8 +155,11 @@ class Run:
 
     def farthest(self, x: Array) -> float:
         """[rad, m, rad/s, m/s] largest position or velocity in a state of the solver."""
-        watched = self.states(x)[..., : self._watched]
-        return float(max(watched.max(), -watched.min()))
+        return float(np.abs(self.states(x)[..., : self._watched]).max())
+
+    def passed(self, x: Array) -> bool:
+        """True where a position or velocity in a state of the solver is beyond the limit."""
+        return not x @ x < FAR**2 and self.farthest(x) >= FAR  # the first is quick, and stricter
 
     def states(self, x: Array) -> Array:
         """(nx,) the state, or (count, nx) those of all runs, from a state of the solver."""
@@ -169,6 +172,8 @@ class Run:
     def rates(self, t: float, x: Array, wires: Wires | None = None) -> Array:
         """Rates of the whole loop, for the solver."""
         e, disturbance = self.equations, None if self.disturbance is None else self.disturbance(t)
+        if wires is None and self.count is None:
+            return e.rates(t, x, disturbance, lose_contact=self.lose_contact)
         if wires is None:
             return np.ravel(e.rates(self.times(t), self.states(x), disturbance, lose_contact=self.lose_contact))
         found = e.flow(self.times(t), self.states(x), wires, Inputs(disturbance=disturbance), lose_contact=self.lose_contact)
@@ -334,7 +339,7 @@ class Run:
 
                 def step(self) -> Any:
                     message = super().step()
-                    if self.status == "running" and (run.spent >= run.most or run.farthest(self.y) >= FAR):
+                    if self.status == "running" and (run.spent >= run.most or run.passed(self.y)):
                         self.status = "finished"
                     return message
 
@@ -347,12 +352,12 @@ class Run:
         def left(t: float) -> float:
             return FAR - self.farthest(path(t))
 
-        return float(brentq(left, before, after, xtol=1e-15, rtol=1e-15)) if left(before) > 0 > left(after) else after
+        return float(root_scalar(left, bracket=(before, after), xtol=1e-15).root) if left(before) > 0 > left(after) else after
 
 
 def bounded(rates: Array) -> Array:
     """The rates unchanged. Raises BadArgument above ``FASTEST``, where the solver would not finish."""
-    if not -FASTEST < rates.min() <= rates.max() < FASTEST:
+    if not rates @ rates < FASTEST**2 and not np.abs(rates).max() < FASTEST:  # the first is quick, and stricter
         raise BadArgument("the motion", f"rates of {np.abs(rates).max():.3g}", f"state rates below {FASTEST:g}")
     return rates
 

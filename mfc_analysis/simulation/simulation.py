@@ -113,7 +113,8 @@ def simulate(
     start = e.flow(
         float(asked[0]), x0, None, run.inputs(float(asked[0])), lose_contact=True
     )  # a start that cannot be evaluated raises here; it is not an outcome
-    bounded(value(e.join(start.rates)))
+    with np.errstate(over="ignore"):
+        bounded(value(e.join(start.rates)))
     if len(asked) > 1:
         _run(run, asked, x0)
     found = _gathered(run, asked)
