@@ -93,10 +93,9 @@ def solved(A: OnSegment, forcing: OnSegment, length: float, x: Array, low: float
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(SUBSTITUTIONS):
             before, found = found, fixed + h * combined(INTEGRALS, A_s @ found)
-            size = np.abs(found).max(axis=(0, 1))
-            if not np.any(np.abs(found - before).max(axis=(0, 1)) > ROUNDING * size):
+            if not np.any(np.abs(found - before).max(axis=(0, 1)) > ROUNDING * np.abs(found).max(axis=(0, 1))):
                 break
-        rough = np.abs(combined(np.asarray(COEFFICIENTS[-2:], float), found)).max(axis=(0, 1)) > FINE * size
+        rough = np.abs(combined(np.asarray(COEFFICIENTS[-2:], float), found)).max(axis=(0, 1)) > FINE * np.abs(found).max(axis=(0, 1))
     if not np.any(rough) or high - low < SHORTEST:
         return lambda at: combined(at_nodes((at - low) / (high - low)), found)
     middle = 0.5 * (low + high)
