@@ -136,7 +136,7 @@ class Equations:
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         set_(self, "plant", Primitives(self.robot))
-        set_(self, "controller", Primitives(self.model) if self.model is not self.robot else self.plant)
+        set_(self, "controller", Primitives(self.model, self.plant) if self.model is not self.robot else self.plant)
         set_(self, "joints", self.hardware.for_joints(self.n))
         parts, names, start = {}, [], 0
         for slot in self._slots():

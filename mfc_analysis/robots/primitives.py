@@ -26,9 +26,12 @@ if TYPE_CHECKING:
 
 
 class Primitives:
-    """Dynamics and kinematics of one robot. Not thread-safe: every call overwrites its Pinocchio Data."""
+    """Dynamics and kinematics of one robot. Not thread-safe: every call overwrites its Pinocchio Data.
 
-    def __init__(self, robot: Robot) -> None:
+    ``like``: another robot, whose kinematics at a configuration are taken where they are the same (the plant with its payload).
+    """
+
+    def __init__(self, robot: Robot, like: Primitives | None = None) -> None:
         self.robot = robot
         self.n = robot.n
         self._model = robot.model
@@ -45,6 +48,7 @@ class Primitives:
         self.rubs = self._viscous is not None or self._coulomb is not None  #: True where the robot has joint friction
         self._zero = np.zeros(self.n)
         self._seen: list[Configuration] = []
+        self._like = like if like is not None and self._moves_like(like) else None
 
     def at(self, q: Array) -> Configuration:
         """M, J, X at the configurations q (..., n), cached for repeated calls with the same array."""
@@ -54,6 +58,14 @@ class Primitives:
         new = Configuration(self, q)
         self._seen = [new, *self._seen[:2]]
         return new
+
+    def _moves_like(self, other: Primitives) -> bool:
+        """True where J and X are the same at all q: by the product of exponentials they are, if they are at one."""
+        one, two = self._model, other._model
+        if self.n != other.n or list(one.parents) != list(two.parents) or not np.array_equal(self._back, other._back):
+            return False
+        q = np.full(self.n, 0.3)
+        return all(np.array_equal(a, b) for a, b in zip(self.at(q)._kinematics, other.at(q)._kinematics, strict=True))
 
     # --- dynamics ------------------------------------------------------------------------------------------------
 
@@ -346,7 +358,14 @@ class Configuration:
     @property
     def J(self) -> Array:
         """Body Jacobian (..., 6, n)."""
-        return self._kinematics[0] if "_kinematics" in vars(self) else self._J
+        same = self._same
+        return same._kinematics[0] if "_kinematics" in vars(same) else same._J
+
+    @cached_property
+    def _same(self) -> Configuration:
+        """The configuration that computes J and X of this one."""
+        like = self._of._like
+        return self if like is None else like.at(self.q)
 
     @cached_property
     def _J(self) -> Array:
@@ -362,12 +381,12 @@ class Configuration:
     @property
     def R(self) -> Array:
         """Tool rotation (..., 3, 3)."""
-        return self._kinematics[1]
+        return self._same._kinematics[1]
 
     @property
     def p(self) -> Array:
         """Tool position (..., 3)."""
-        return self._kinematics[2]
+        return self._same._kinematics[2]
 
     @cached_property
     def J_T(self) -> Array:

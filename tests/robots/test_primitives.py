@@ -253,3 +253,17 @@ def test_a_jacobian_is_refused_by_its_condition_number_even_where_its_inverse_ex
             assert why.value.condition > 1e6
         else:
             at.check_regular()
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda", "continuous", "branched"])
+def test_kinematics_are_shared_with_a_robot_that_moves_alike_and_with_no_other(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = EVERY[name]
+    loaded = Primitives(robot.with_payload(1.5))
+    shared, alone = Primitives(robot, loaded), Primitives(robot)
+    q = seed(name, "shared").normal(size=(3, robot.n))
+    assert shared.at(q).J is loaded.at(q).J and alone.at(q).J is not loaded.at(q).J
+    for one in ("J", "R", "p", "M"):
+        assert_allclose(getattr(shared.at(q), one), getattr(alone.at(q), one), atol=1e-14)
+    assert not np.allclose(shared.at(q).M, loaded.at(q).M)
+    other = Primitives(plant("ur10" if name == "ur5" else "ur5"))
+    assert_allclose(Primitives(robot, other).at(q).J, alone.at(q).J, atol=1e-14)
