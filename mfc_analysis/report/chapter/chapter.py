@@ -109,9 +109,9 @@ def validity(sections: Iterable[Section]) -> Section | None:
         rows.append(
             (
                 section.loop,
-                Number(100 * float(found["nrmse"]), infinite="diverged", undefined="diverged"),
+                Number(100 * float(found["nrmse"]), infinite="diverged", undefined="not compared"),
                 Number(radius, infinite="all tested sizes"),
-                Number(float(found["taylor_order"]), infinite="exact", undefined="diverged"),
+                Number(float(found["taylor_order"]), infinite="exact", undefined="not compared"),
             )
         )
         if radius >= 0 and (nearest is None or radius < nearest[0]):

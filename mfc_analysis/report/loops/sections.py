@@ -278,11 +278,15 @@ def validity_section(view: View, found: Validation | None) -> Section:
         (
             Fact(
                 "Model error",
-                Number(100 * found.nrmse, "%", infinite="diverged", undefined="diverged"),
+                Number(100 * found.nrmse, "%", infinite="diverged", undefined="not compared"),
                 f"initial error {written(found.size, exact=True)} {unit}, over {written(found.time, exact=True)} s",
             ),
-            Fact("Valid up to", Number(found.radius, unit, infinite="all tested sizes"), "model error below 5 % in the worst direction"),
-            Fact("Taylor order", Number(found.taylor_order, infinite="exact", undefined="diverged"), "2 confirms the linearisation"),
+            Fact(
+                "Valid up to",
+                Number(found.radius, unit, infinite="all tested sizes", undefined="not compared"),
+                "model error below 5 % in the worst direction",
+            ),
+            Fact("Taylor order", Number(found.taylor_order, infinite="exact", undefined="not compared"), "2 confirms the linearisation"),
         )
     )
     body: tuple[Block, ...] = (facts,) if figure is None else (facts, figure)
