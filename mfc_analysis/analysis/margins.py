@@ -27,7 +27,7 @@ from mfc_analysis.analysis.frequency.resolvent import resolvent
 from mfc_analysis.analysis.margin_metrics import MarginMetrics, also_late, assembled, frequency, put
 from mfc_analysis.analysis.sampled_delay import sampled_delays
 from mfc_analysis.analysis.spectrum import rates, spectrum
-from mfc_analysis.analysis.stability import stability
+from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.maths.arrays import Array, Bools
 
@@ -144,23 +144,23 @@ class Margins:
         return table(str(self).splitlines()[0], heads, rows)
 
 
-def margins(system: OpenSystem, at: str) -> Margins:
+def margins(system: OpenSystem, at: str, verdict: Stability | None = None) -> Margins:
     """Margins of every channel of the analysis point ``at`` at every operating point, dead time included.
 
-    Raises ``UnknownPoint`` where the loop cannot be opened there.
+    ``verdict``: of the same loop with dead time, if already computed. Raises ``UnknownPoint`` where the loop cannot be opened there.
     Source: the crossings follow from S_i(s) = d + c (sI - A)^-1 b, see ``crossings``.
     """
     silent = channels(system, at).empty if at == "force" else None
     system = without_idle(system)
     ch = channels(system, at)
     modes = np.linalg.eig(ch.A)
-    known = spectrum(system, modes[0].astype(np.complex128))
-    verdict = stability(system, known)
+    if verdict is None or not system.delayed:
+        verdict = stability(system, spectrum(system, modes[0].astype(np.complex128)))
     judged = verdict.nonzero_stable
     metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
     some = np.flatnonzero(judged)
     if system.delayed:
-        metrics = delayed_metrics(system, at, judged)
+        metrics = delayed_metrics(system, at, judged, verdict.walks)
     elif some.size:
         put(metrics, some, _metrics(system.at(some), at, ch.at(some), (modes[0][some], modes[1][some])))
     if silent is not None:

@@ -28,6 +28,7 @@ class Stability:
     idle: Ints  #: (m,) integrals that act on nothing, left out of the verdict
     slow_roots: tuple[Complex, ...]  #: (m,) arrays of the slow roots [1/s]
     motion: tuple[Array, ...]  #: (m,) (nx, nx) what the slow part keeps moving over the second half of the horizon; 0 where nothing drifts
+    walks: tuple[Array, ...]  #: (m,) arrays [rad/s] of the frequencies of the count with dead time, which resolve the roots near the axis
     horizon: float  #: [s]
 
     @property
@@ -48,17 +49,17 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
     if system.delayed:
         found = delayed_verdicts(system, known)
         slow, decay, held = (np.array([getattr(one, name) for one in found]) for name in ("slow", "decays", "held"))
-        roots, motion = tuple(one.slow_roots for one in found), tuple(one.motion for one in found)
+        roots, motion, walks = (tuple(getattr(one, name) for one in found) for name in ("slow_roots", "motion", "walk"))
     else:
         slow = known.slow.sum(axis=1)
         decay = np.asarray((inside(known.poles, known.dt) | known.slow).all(axis=1))
         held = slow < system.nx - system.registers
-        none = np.zeros((system.nx, system.nx))
+        none, walks = np.zeros((system.nx, system.nx)), (np.zeros(0),) * m
         roots = tuple(np.zeros(0, np.complex128) if one is None else one.slow.roots for one in known.parts)
         motion = tuple(none if one is None or not one.slow.block.size else one.slow.moves(horizon) for one in known.parts)
     drifts = np.array([moved.any() for moved in motion], bool).reshape(m)
     good, idle = np.asarray(decay & held, bool), np.full(m, whole.nx - system.nx)
-    return Stability(good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), idle, roots, motion, horizon)
+    return Stability(good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), idle, roots, motion, walks, horizon)
 
 
 def roots(system: OpenSystem, count: int | None = None, known: Spectrum | None = None) -> tuple[Complex, Bools]:

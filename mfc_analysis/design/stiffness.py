@@ -62,7 +62,7 @@ class StiffnessSweep:
         """Margins at each stiffness: (k, n) metrics. Raises UnknownPoint."""
         from mfc_analysis.analysis.margins import margins
 
-        return margins(self.opened, at)
+        return margins(self.opened, at, self.stability if self.opened.delayed else None)
 
 
 def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0, *, horizon: float = HORIZON) -> StiffnessSweep:

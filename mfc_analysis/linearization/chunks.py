@@ -15,7 +15,7 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 
 MOST_JOBS = 10_000
-EACH_POINT = ("slow_roots", "motion")  #: tuples with one entry for each point
+EACH_POINT = ("slow_roots", "motion", "walks")  #: tuples with one entry for each point
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")

@@ -269,7 +269,7 @@ class Linearization:
         if self._many:
             parts: list[Margins] = each(methodcaller("margins", at), self._parts(), checked_jobs(n_jobs))
             return joined(parts)
-        return margins(self.opened_for(at), at)
+        return margins(self.opened_for(at), at, self.stability if self.opened.delayed else None)
 
     def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None, n_jobs: int | None = None) -> DiskMargin:
         """Disk margin of all loops at once (m,), at one analysis point or several together; ``n_jobs`` as ``margins``. Raises UnknownPoint."""

@@ -6,20 +6,20 @@ E = diag(e^(-s T)), the sensitivities of the loop with dead time are
     (I - E G)^-1 = W [(I - E) W + E]^-1,        S_i = e_i W [(I - E) W + E]^-1 p_i,
 
 p_i = e_i (at "position": e_q + s e_v). There are infinitely many crossings. They are bracketed on a frequency grid that
-resolves the open and closed poles, the roots of the loop with dead time near the axis (by the samples of ``count``), and the phase of
+resolves the open and closed poles, the roots of the loop with dead time near the axis (by the samples of the verdict's count), and the phase of
 e^(-jwT); then polished. The search continues to higher frequencies until no further crossing can limit a margin. No frequency below
 1/horizon counts; a gain interval also ends on the indentation of the contour (``arc``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
 from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points
-from mfc_analysis.analysis.delay.count import unstable_roots
 from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delays, places
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
@@ -82,13 +82,13 @@ class _Point:
         return np.asarray(self.C @ np.linalg.solve(matrix, np.broadcast_to(self.B.astype(complex), (s.size, *self.B.shape))) + self.M)
 
 
-def delayed_metrics(system: OpenSystem, at: str, judged: Bools) -> MarginMetrics:
-    """The metrics of all channels of the point ``at``, dead time exact; NaN where not judged."""
+def delayed_metrics(system: OpenSystem, at: str, judged: Bools, walks: Sequence[Array]) -> MarginMetrics:
+    """The metrics of all channels of the point ``at``, dead time exact; NaN where not judged. ``walks``: those of the verdict (``Stability``)."""
     ch = channels(system, at)
     metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
     cut = delayed_points(system) if judged.any() else []
     for i in np.flatnonzero(judged):
-        found = _metrics(_point(system, at, int(i)), ch.at(np.array([i])), cut[i], system.radius)
+        found = _metrics(_point(system, at, int(i)), ch.at(np.array([i])), cut[i], walks[i], system.radius)
         for name, values in vars(metrics).items():
             values[i] = found[name]
     return metrics
@@ -111,12 +111,11 @@ def _point(system: OpenSystem, at: str, index: int) -> _Point:
     return _Point(A, B, C, through[np.ix_(matter, matter)], system.wire_delay[matter], where[0], where[1] if len(where) > 1 else None, modes)
 
 
-def _metrics(point: _Point, ch: Channels, cut: Delayed, radius: float) -> dict[str, Array]:
+def _metrics(point: _Point, ch: Channels, cut: Delayed, walk: Array, radius: float) -> dict[str, Array]:
     opened = [np.linalg.eigvals(ch.A[0] - np.outer(ch.B[0][:, i], ch.C[0][i]) / (1 + ch.H0[0, i])) for i in range(ch.H0.shape[1])]
     poles = np.concatenate([cut.places, *opened]).astype(np.complex128)
     w = thinned(frequencies_of_interest(poles[None], radius), poles[None])[0]
-    axis = unstable_roots(cut, radius)[1].s.imag if cut.in_a_loop else w
-    w = np.union1d(w, axis[(axis >= radius) & (axis <= w[-1])])
+    w = np.union1d(w, walk[(walk >= radius) & (walk <= w[-1])])
     low_end, high = radius, max(3 * radius, 3 * np.pi / float(cut.T.max()))
     at, theta = places(radius, 0.0), angles(poles[None], radius)
     on_arc = point.H(at(theta[0]))[None]

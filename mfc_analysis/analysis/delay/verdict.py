@@ -32,6 +32,7 @@ class DelayedVerdict:
     held: bool  #: some root is not slow
     slow_roots: Complex  #: [1/s]
     motion: Array  #: (nx, nx) what keeps moving over the second half of the horizon
+    walk: Array  #: (k,) [rad/s] frequencies of the count along the axis, which resolve the roots near it; none where nothing was counted
 
 
 def delayed_verdicts(system: OpenSystem, known: Spectrum) -> list[DelayedVerdict]:
@@ -46,25 +47,30 @@ def delayed_verdicts(system: OpenSystem, known: Spectrum) -> list[DelayedVerdict
 
 
 def _verdict(system: OpenSystem, known: Spectrum, index: int, point: Delayed) -> DelayedVerdict:
-    radius, nx, part = system.radius, system.nx, known.parts[index]
+    radius, nx, part, none = system.radius, system.nx, known.parts[index], np.zeros(0)
     if not point.in_a_loop:
         slow = int(known.slow[index].sum())
         decays = bool((inside(known.poles[index], system.dt) | known.slow[index]).all())
         roots = np.zeros(0, np.complex128) if part is None else part.slow.roots
-        return DelayedVerdict(
-            slow, decays, slow < nx - system.registers, roots, part.slow.moves(system.horizon) if part and slow else np.zeros((nx, nx))
-        )
-    decays = unstable_count(point, radius) == 0
+        motion = part.slow.moves(system.horizon) if part and slow else np.zeros((nx, nx))
+        return DelayedVerdict(slow, decays, slow < nx - system.registers, roots, motion, none)
+    unstable, walk = _counted(point, radius)
     slow = roots_within(point, radius) if radius else 0
     slow_roots, motion = slow_part(point, radius, slow) if slow else (np.zeros(0, np.complex128), np.zeros((nx, nx)))
-    return DelayedVerdict(slow, decays, bool(not system.dt or slow < nx - system.registers), slow_roots, motion)
+    return DelayedVerdict(slow, not unstable, bool(not system.dt or slow < nx - system.registers), slow_roots, motion, walk)
 
 
 def unstable_count(point: Delayed, radius: float) -> int:
     """The number of unstable roots that are not slow, or, where one is easily found, at least one. Raises ``NotConverged``."""
+    return _counted(point, radius)[0]
+
+
+def _counted(point: Delayed, radius: float) -> tuple[int, Array]:
+    """That number, and the frequencies [rad/s] of the count along the axis."""
     if point.strongest_direct >= CERTAINLY or some_unstable(point, radius):
-        return 1
-    return unstable_roots(point, radius)[0]
+        return 1, np.zeros(0)
+    unstable, walk = unstable_roots(point, radius)
+    return unstable, walk.s.imag
 
 
 def some_unstable(point: Delayed, radius: float) -> bool:
