@@ -13,247 +13,338 @@ e^(-jwT); then polished. The search continues to higher frequencies until no fur
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
-from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points
+from mfc_analysis.analysis.delay.characteristic import delayed_points
 from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delays, places
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
 from mfc_analysis.analysis.frequency.resolvent import CONDITION
-from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, also_late, assembled
+from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, also_late, assembled, put
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
 MOST = 40_000  #: frequencies at one point
+CHUNK = 1_000_000  #: complex numbers at a time
 NEAR, CLIMBED = 0.7, 3  #: a local maximum of at least this fraction of the highest is refined, and this many of them
 FLAT = 1e-9  #: relative difference of two sizes below which they count as equal
 TURN = 0.2  #: [rad] phase of e^(-jwT) between two frequencies
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
-    """One point, ready for evaluation: W(s) = M + C (sI - A)^-1 B of the relevant wires."""
+class _Points:
+    """m points, ready for evaluation: W(s) = M + C (sI - A)^-1 B of the k relevant wires."""
 
-    A: Array
-    B: Array
-    C: Array
-    M: Array
+    A: Array  #: (m, nx, nx)
+    B: Array  #: (m, nx, k)
+    C: Array  #: (m, k, nx)
+    M: Array  #: (m, k, k)
     T: Array  #: (k,) [s] of these wires
     rows: Ints  #: (n,) indices of the channels among them
     rates: Ints | None  #: (n,) indices of the wires with their rates
-    modes: tuple[Complex, Complex, Complex] | None  #: poles, C V, V^-1 B where these are well conditioned
+    modal: Bools  #: (m,) modes are well conditioned
+    poles: Complex  #: (m, nx)
+    residues: Complex  #: (m, nx, k k) not defined where not ``modal``
 
-    def H(self, s: Complex) -> Complex:
-        """S_i - 1 of all channels, (n, k), at s (k,)."""
-        W, matrix = self._loop(s)
-        n = self.rows.size
-        inject = np.zeros((s.size, len(self.T), n), np.complex128)
-        inject[:, self.rows, np.arange(n)] = 1
-        if self.rates is not None:
-            inject[:, self.rates, np.arange(n)] = s[:, None]
-        X = np.linalg.solve(matrix, inject)
-        return np.asarray(np.einsum("wnk,wkn->nw", W[:, self.rows], X) - 1)
+    def H(self, point: Ints, s: Complex) -> Complex:
+        """S_i - 1 (q, n) of all channels at s (q,), each of one point (q,)."""
+        n, each = self.rows.size, np.arange(self.rows.size)
+        out = np.empty((s.size, n), np.complex128)
+        for some in self._chunks(s.size):
+            W, matrix = self._loop(point[some], s[some])
+            inject = np.zeros((len(W), len(self.T), n), np.complex128)
+            inject[:, self.rows, each] = 1
+            if self.rates is not None:
+                inject[:, self.rates, each] = s[some, None]
+            X = np.linalg.solve(matrix, inject)
+            out[some] = (W[:, self.rows] * X.transpose(0, 2, 1)).sum(axis=2) - 1
+        return out
 
-    def one(self, channel: Ints, s: Complex) -> Complex:
-        """S_i - 1 (k,) of one channel (k,) each at s (k,)."""
-        W, matrix = self._loop(s)
-        each = np.arange(s.size)
-        inject = np.zeros((s.size, len(self.T), 1), np.complex128)
-        inject[each, self.rows[channel], 0] = 1
-        if self.rates is not None:
-            inject[each, self.rates[channel], 0] = s
-        X = np.linalg.solve(matrix, inject)
-        return np.asarray((W[each, self.rows[channel]] * X[:, :, 0]).sum(axis=1) - 1)
+    def over(self, s: Complex) -> Complex:
+        """S_i - 1 (m, n, q) of all channels at s (m, q) of each point."""
+        return self.over_some(np.arange(len(s)), s)
 
-    def _loop(self, s: Complex) -> tuple[Complex, Complex]:
-        W = self._W(s)
-        E = np.exp(-s[:, None] * self.T)[:, :, None]
-        return W, (1 - E) * W + E * np.eye(len(self.T))
+    def over_some(self, points: Ints, s: Complex) -> Complex:
+        """S_i - 1 (p, n, q) of all channels at s (p, q) of each of the ``points`` (p,)."""
+        H = self.H(np.repeat(points, s.shape[1]), s.ravel())
+        return np.ascontiguousarray(H.reshape(*s.shape, self.rows.size).transpose(0, 2, 1))
 
-    def _W(self, s: Complex) -> Complex:
-        if self.modes is not None:
-            poles, left, right = self.modes
-            return np.asarray((left / (s[:, None, None] - poles)) @ right + self.M)
-        matrix = s[:, None, None] * np.eye(len(self.A)) - self.A
-        return np.asarray(self.C @ np.linalg.solve(matrix, np.broadcast_to(self.B.astype(complex), (s.size, *self.B.shape))) + self.M)
+    def one(self, point: Ints, channel: Ints, s: Complex) -> Complex:
+        """S_i - 1 (q,) at s (q,), each of one point and channel (q,)."""
+        out = np.empty(s.size, np.complex128)
+        for some in self._chunks(s.size):
+            W, matrix = self._loop(point[some], s[some])
+            each, row = np.arange(len(W)), self.rows[channel[some]]
+            inject = np.zeros((len(W), len(self.T), 1), np.complex128)
+            inject[each, row, 0] = 1
+            if self.rates is not None:
+                inject[each, self.rates[channel[some]], 0] = s[some]
+            out[some] = (W[each, row] * np.linalg.solve(matrix, inject)[:, :, 0]).sum(axis=1) - 1
+        return out
+
+    def _chunks(self, size: int) -> Iterator[slice]:
+        step = max(1, CHUNK // max(self.A.shape[-1], len(self.T)) ** 2)
+        return (slice(k, k + step) for k in range(0, size, step))
+
+    def _loop(self, point: Ints, s: Complex) -> tuple[Complex, Complex]:
+        k = len(self.T)
+        W = np.empty((s.size, k * k), np.complex128)
+        order = np.argsort(point, kind="stable")
+        start = np.searchsorted(point[order], np.arange(len(self.A) + 1))
+        for i in np.flatnonzero(np.diff(start)):
+            mine = order[start[i] : start[i + 1]]
+            if self.modal[i]:
+                W[mine] = (1 / (s[mine, None] - self.poles[i])) @ self.residues[i]
+            else:
+                matrix = s[mine, None, None] * np.eye(len(self.A[i])) - self.A[i]
+                W[mine] = (self.C[i] @ np.linalg.solve(matrix, self.B[i].astype(complex)[None])).reshape(-1, k * k)
+        W = W.reshape(-1, k, k) + self.M[point]
+        E = np.exp(-s[:, None] * self.T)
+        matrix = (1 - E)[:, :, None] * W
+        matrix[:, np.arange(k), np.arange(k)] += E
+        return W, matrix
 
 
 def delayed_metrics(system: OpenSystem, at: str, judged: Bools, walks: Sequence[Array]) -> MarginMetrics:
     """The metrics of all channels of the point ``at``, dead time exact; NaN where not judged. ``walks``: those of the verdict (``Stability``)."""
     ch = channels(system, at)
     metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
-    cut = delayed_points(system) if judged.any() else []
-    for i in np.flatnonzero(judged):
-        found = _metrics(_point(system, at, int(i)), ch.at(np.array([i])), cut[i], walks[i], system.radius)
-        for name, values in vars(metrics).items():
-            values[i] = found[name]
+    every = np.asarray(np.flatnonzero(judged), np.int64)
+    size = np.array([walks[int(i)].size for i in every]) + 1000.0
+    for some in _groups(every, size, ch.H0.shape[1]):
+        cut = [point.places for point in delayed_points(system.at(some))]
+        found = _metrics(_points(system, at, some), ch.at(some), _padded(cut), _padded([walks[int(i)] for i in some]), system.radius)
+        put(metrics, some, MarginMetrics(**found))
     return metrics
 
 
-def _point(system: OpenSystem, at: str, index: int) -> _Point:
+def _groups(index: Ints, size: Array, channels: int) -> Iterator[Ints]:
+    """The ``index`` (k,) in parts of similar ``size`` (k,), each of at most ``CHUNK`` numbers: size x channels x points."""
+    order = np.argsort(-size, kind="stable")
+    first = 0
+    while first < order.size:
+        largest = float(size[order[first]])
+        last = first + max(1, int(CHUNK / (max(largest, 1.0) * max(channels, 1))))
+        some = order[first:last]
+        some = some[size[some] >= 0.5 * largest]
+        yield np.sort(index[some])
+        first += some.size
+
+
+def _padded(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Rows of different length, each continued by its last value (an empty one by 0)."""
+    longest = max(one.size for one in parts)
+    return np.stack([np.pad(one, (0, longest - one.size), mode="edge" if one.size else "constant") for one in parts])
+
+
+def _points(system: OpenSystem, at: str, index: Ints) -> _Points:
     nu, ny, nw = system.nu, system.ny, system.nw
     wires = np.arange(nw)[point_wires(system, at)]
     cut = [wires, np.arange(nw)[system.wires["rate"]]] if has_rate(system, at) else [wires]
     matter = np.unique(np.concatenate([*cut, np.flatnonzero(system.wire_delay)]))
-    through = np.linalg.inv(np.eye(nw) - system.D[index][ny:, nu:])
-    into, out = system.B[index][:, nu:] @ through, through @ system.C[index][ny:]
-    A = system.A[index] + into @ system.C[index][ny:]
-    B, C = into[:, matter], out[matter]
+    through = np.linalg.inv(np.eye(nw) - system.D[index][:, ny:, nu:])
+    into, out = system.B[index][:, :, nu:] @ through, through @ system.C[index][:, ny:]
+    A = system.A[index] + into @ system.C[index][:, ny:]
+    B, C = into[:, :, matter], out[:, matter]
     poles, V = np.linalg.eig(A)
-    modes = None
-    if np.linalg.cond(V) < CONDITION:
-        modes = poles.astype(np.complex128), (C @ V).astype(np.complex128), np.linalg.solve(V, B.astype(complex))
+    modal = np.asarray(np.linalg.cond(V) < CONDITION)
+    left, right = C @ V, np.zeros(B.shape, np.complex128)
+    right[modal] = np.linalg.solve(V[modal], B[modal].astype(complex))
+    residues = (left.transpose(0, 2, 1)[:, :, :, None] * right[:, :, None, :]).reshape(*poles.shape, matter.size**2)
     where = [np.searchsorted(matter, c) for c in cut]
-    return _Point(A, B, C, through[np.ix_(matter, matter)], system.wire_delay[matter], where[0], where[1] if len(where) > 1 else None, modes)
+    return _Points(
+        A, B, C, np.asarray(through[:, matter[:, None], matter], float), system.wire_delay[matter], where[0], where[1] if len(where) > 1 else None,
+        modal, poles.astype(np.complex128), residues.astype(np.complex128),
+    )  # fmt: skip
 
 
-def _metrics(point: _Point, ch: Channels, cut: Delayed, walk: Array, radius: float) -> dict[str, Array]:
-    opened = [np.linalg.eigvals(ch.A[0] - np.outer(ch.B[0][:, i], ch.C[0][i]) / (1 + ch.H0[0, i])) for i in range(ch.H0.shape[1])]
-    poles = np.concatenate([cut.places, *opened]).astype(np.complex128)
-    w = thinned(frequencies_of_interest(poles[None], radius), poles[None])[0]
-    w = np.union1d(w, walk[(walk >= radius) & (walk <= w[-1])])
-    low_end, high = radius, max(3 * radius, 3 * np.pi / float(cut.T.max()))
-    at, theta = places(radius, 0.0), angles(poles[None], radius)
-    on_arc = point.H(at(theta[0]))[None]
-    arc = arc_crossings(radius, theta, on_arc, at, lambda _, channel, s: point.one(channel, s))
-    gain: list[tuple[Ints, Array, Complex]] = []
-    phase: list[tuple[Ints, Array, Complex]] = []
-    end = np.abs(1 + point.H(on_axis(np.array([radius])))[:, 0])
-    peaks = end, np.full(end.size, radius)
+def _metrics(point: _Points, ch: Channels, cut: Complex, walk: Array, radius: float) -> dict[str, Array]:
+    """The metrics (m, n). ``cut``: places of the features of the loop with dead time (m, j); ``walk``: frequencies of its count (m, k)."""
+    m, n = ch.H0.shape
+    column = ch.B / (1 + ch.H0)[:, None]
+    opened = np.linalg.eigvals(ch.A[:, None] - column.transpose(0, 2, 1)[:, :, :, None] * ch.C[:, :, None, :]).reshape(m, -1)
+    poles = np.concatenate([cut, opened], axis=1).astype(np.complex128)
+    w = thinned(frequencies_of_interest(poles, radius), poles)
+    w = np.sort(np.concatenate([w, np.where((walk >= radius) & (walk <= w[:, -1:]), walk, w[:, -1:])], axis=1), axis=1)
+    longest = float(point.T.max())
+    low, high = np.full(m, radius), np.full(m, max(3 * radius, 3 * np.pi / longest))
+    at, theta = places(radius, 0.0), angles(poles, radius)
+    on_arc = point.over(at(theta))
+    arc = arc_crossings(radius, theta, on_arc, at, point.one)
+    gain: list[Crossings] = []
+    phase: list[Crossings] = []
+    peaks = np.abs(1 + point.H(np.arange(m), on_axis(np.full(m, radius)))), np.full((m, n), radius)
     metrics: dict[str, Array] = {}
+    left = np.arange(m)
     for _ in range(6):
-        piece = _resolved(w, low_end, high, float(cut.T.max()))
-        H = point.H(on_axis(piece))
-        piece, H = _refined(point, piece, H)
-        gain.append(_crossings(point, piece, H, gain=True))
-        phase.append(_crossings(point, piece, H, gain=False))
-        peaks = _peaks(point, piece, H, *peaks)
-        metrics = assembled(_joined(gain), _joined(phase), arc, ch.H0, lambda x: x)
-        further = _needed(point, w, high, metrics["gain_increase"][0])
-        if further <= high or piece.size >= MOST:
+        if not left.size:
             break
-        low_end, high = high, further
-    also_late(metrics, *arc_delays(theta, on_arc, at, lambda _, channel, s: point.one(channel, s), metrics["delay"]))
-    far = np.abs(1 + ch.H0[0])
+        again = []
+        for some in _groups(left, (high - low)[left] * longest / TURN, n):
+            piece = _resolved(w[some], low[some], high[some], longest)
+            piece, H = _refined(point, some, piece, point.over_some(some, on_axis(piece)))
+            for found, kind in zip(_crossings(point, some, piece, H), (gain, phase), strict=True):
+                kind.append(found)
+            _peaks(point, some, piece, H, *peaks)
+            again.append(some[np.count_nonzero(np.diff(piece, axis=1), axis=1) + 1 < MOST])
+        metrics = assembled(_joined(gain), _joined(phase), arc, ch.H0, lambda x: x)
+        left = np.sort(np.concatenate(again))
+        further = _needed(point, left, w[left], high[left], metrics["gain_increase"][left])
+        left, further = left[further > high[left]], further[further > high[left]]
+        low[left], high[left] = high[left], further
+    also_late(metrics, *arc_delays(theta, on_arc, at, point.one, metrics["delay"]))
+    far = np.abs(1 + ch.H0)
     better = far >= peaks[0] * (1 - 1e-12)
     peak, where = np.where(better, far, peaks[0]), np.where(better, np.inf, peaks[1])
-    return {**metrics, "sensitivity_peak": np.maximum(peak, 1.0)[None], "peak_frequency": where[None]}
+    return {**metrics, "sensitivity_peak": np.maximum(peak, 1.0), "peak_frequency": where}
 
 
-def _resolved(w: Array, low: float, high: float, longest: float) -> Array:
-    """Frequencies w in [low, high], in steps with a small phase change of e^(-jwT) and a small logarithmic change."""
-    count = int(min(MOST, np.ceil((high - low) * longest / TURN) + 2))
-    even = np.linspace(low, high, count)
-    start = low or min(float(w[w > 0].min()), high)
-    spread = np.geomspace(start, high, int(30 * np.log10(high / start)) + 2)
-    every = np.unique(np.concatenate([w[(w >= low) & (w <= high)], even, spread]))
-    return np.asarray(every[every > 0])
+def _resolved(w: Array, low: Array, high: Array, longest: float) -> Array:
+    """(m, k) increasing frequencies, w (m, j) among them, in [low, high] (m,) in steps with a small phase change of e^(-jwT) and a small
+    logarithmic change; some are repeated."""
+    least = np.where(low > 0, low, np.minimum(np.where(w > 0, w, np.inf).min(axis=1), high))[:, None]
+    span = high[:, None] / least
+    turns = float(np.ceil((high - low).max() * longest / TURN))
+    even = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, int(min(MOST, turns + 2)))
+    spread = least * span ** np.linspace(0, 1, int(30 * np.log10(span.max())) + 2)
+    return np.sort(np.clip(np.concatenate([w, even, spread], axis=1), least, high[:, None]), axis=1)
 
 
-def _refined(point: _Point, w: Array, H: Complex) -> tuple[Array, Complex]:
+def _refined(point: _Points, some: Ints, w: Array, H: Complex) -> tuple[Array, Complex]:
     """Additional frequencies where Re H + 1/2 or Im H turns back just before zero, since two crossings may lie there."""
     for _ in range(2):
-        gaps: set[int] = set()
+        gaps = np.zeros((len(w), w.shape[1] - 1), bool)
         for f in (H.real + 0.5, H.imag):
             size = np.abs(f)
-            same = (f[:, 1:-1] * f[:, 2:] > 0) & (f[:, 1:-1] * f[:, :-2] > 0)
-            dip = same & (size[:, 1:-1] < size[:, 2:]) & (size[:, 1:-1] < size[:, :-2])
-            dip &= size[:, 1:-1] < np.maximum(size[:, 2:] - size[:, 1:-1], size[:, :-2] - size[:, 1:-1])
-            gaps.update(int(k) for k in np.nonzero(dip)[1])
-        if not gaps:
+            left, middle, right = size[..., :-2], size[..., 1:-1], size[..., 2:]
+            dip = (f[..., 1:-1] * f[..., 2:] > 0) & (f[..., 1:-1] * f[..., :-2] > 0) & (middle < right) & (middle < left)
+            dip &= middle < np.maximum(right - middle, left - middle)
+            turns = dip.any(axis=1)
+            gaps[:, :-1] |= turns
+            gaps[:, 1:] |= turns
+        row, k = np.nonzero(gaps & (np.diff(w, axis=1) > 0))
+        if not row.size:
             break
-        left = np.array(sorted(gaps | {k + 1 for k in gaps}))
-        extra = (w[left, None] + (w[left + 1] - w[left])[:, None] * np.linspace(0, 1, 8)[1:-1]).ravel()
-        w, H = np.concatenate([w, extra]), np.concatenate([H, point.H(on_axis(extra))], axis=1)
-        w, first = np.unique(w, return_index=True)
-        H = H[:, first]
+        inner = np.linspace(0, 1, 8)[1:-1]
+        extra = w[row, k][:, None] + (w[row, k + 1] - w[row, k])[:, None] * inner
+        count = np.bincount(row, minlength=len(w)) * inner.size
+        column = np.arange(extra.size) - np.repeat(np.cumsum(count) - count, count)  # of each among those of its row
+        row = np.repeat(row, inner.size)
+        more = np.repeat(w[:, -1:], count.max(), axis=1)
+        H_more = np.repeat(H[..., -1:], count.max(), axis=2)
+        more[row, column] = extra.ravel()
+        H_more[row, :, column] = point.H(some[row], on_axis(extra.ravel()))
+        w, H = np.concatenate([w, more], axis=1), np.concatenate([H, H_more], axis=2)
+        order = np.argsort(w, axis=1, kind="stable")
+        w, H = np.take_along_axis(w, order, 1), np.take_along_axis(H, order[:, None], 2)
     return w, H
 
 
-def _crossings(point: _Point, w: Array, H: Complex, gain: bool) -> tuple[Ints, Array, Complex]:
-    """Channels, frequencies and H of the sign changes of Re H + 1/2 (``gain``) or Im H, by the Illinois rule."""
-    f = H.real + 0.5 if gain else H.imag
-    changes = (f[:, :-1] >= 0) != (f[:, 1:] >= 0)  # a zero exactly on one of them counts once
-    if not gain:  # a loop with negligible gain changes sign everywhere by rounding
-        size = np.abs(H)
-        changes &= np.maximum(size[:, :-1], size[:, 1:]) > 1 / FARTHEST
-    channel, k = np.nonzero(changes)
-    a, b, fa, fb = w[k], w[k + 1], f[channel, k], f[channel, k + 1]
-    x, hx = a.copy(), H[channel, k]
-    todo = np.arange(channel.size)
+def _crossings(point: _Points, some: Ints, w: Array, H: Complex) -> tuple[Crossings, Crossings]:
+    """The sign changes of Re H + 1/2 (gain) and of Im H (phase), by the Illinois rule."""
+    size = np.abs(H)
+    loud = np.maximum(size[..., :-1], size[..., 1:]) > 1 / FARTHEST  # a loop with negligible gain changes sign of Im H everywhere by rounding
+    changes = []
+    for f, counts in ((H.real + 0.5, True), (H.imag, loud)):
+        row, channel, k = np.nonzero(((f[..., :-1] >= 0) != (f[..., 1:] >= 0)) & counts)  # a zero exactly on one of them counts once
+        changes.append((some[row], channel, w[row, k], w[row, k + 1], f[row, channel, k], f[row, channel, k + 1], H[row, channel, k]))
+    number = changes[0][0].size
+    owner, channel, a, b, fa, fb, hx = (np.concatenate(both) for both in zip(*changes, strict=True))
+    gain = np.arange(owner.size) < number
+    x = a.copy()
+    todo = np.arange(owner.size)
     for _ in range(60):
         if not todo.size:
             break
-        try_ = (a[todo] * fb[todo] - b[todo] * fa[todo]) / (fb[todo] - fa[todo])
-        x[todo] = np.where((try_ >= a[todo]) & (try_ <= b[todo]), try_, (a[todo] + b[todo]) / 2)
-        hx[todo] = point.one(channel[todo], on_axis(x[todo]))
-        fx = hx[todo].real + 0.5 if gain else hx[todo].imag
-        right = (fx >= 0) == (fb[todo] >= 0)
-        fa[todo], fb[todo] = np.where(right, fa[todo] / 2, fx), np.where(right, fx, fb[todo] / 2)
-        a[todo], b[todo] = np.where(right, a[todo], x[todo]), np.where(right, x[todo], b[todo])
-        found = (np.abs(fx) <= 1e-13 * np.abs(hx[todo])) | (b[todo] - a[todo] <= 1e-13 * b[todo])
-        todo = todo[~found]
-    return channel, x, hx
+        l, r, fl, fr = a[todo], b[todo], fa[todo], fb[todo]
+        try_ = (l * fr - r * fl) / (fr - fl)
+        x[todo] = try_ = np.where((try_ >= l) & (try_ <= r), try_, (l + r) / 2)
+        hx[todo] = h = point.one(owner[todo], channel[todo], on_axis(try_))
+        f = np.where(gain[todo], h.real + 0.5, h.imag)
+        right = (f >= 0) == (fr >= 0)
+        a[todo], fa[todo] = np.where(right, l, try_), np.where(right, fl / 2, f)
+        b[todo], fb[todo] = np.where(right, try_, r), np.where(right, f, fr / 2)
+        todo = todo[~((np.abs(f) <= 1e-13 * np.abs(h)) | (b[todo] - a[todo] <= 1e-13 * b[todo]))]
+    every = Crossings(owner, channel, x, hx)
+    return every[gain], every[~gain]
 
 
-def _peaks(point: _Point, w: Array, H: Complex, peak: Array, where: Array) -> tuple[Array, Array]:
-    """The largest |S| of each channel on w, refined at its three highest frequencies, where it exceeds ``peak``."""
+def _peaks(point: _Points, some: Ints, w: Array, H: Complex, peak: Array, where: Array) -> None:
+    """Raises ``peak`` and its frequency ``where`` (all points, n) in place to the largest |S| on w, refined at its highest frequencies."""
     size = np.abs(1 + H)
-    found_at = [(c, *one) for c in range(len(size)) for one in _brackets(size[c], NEAR * max(float(peak[c]), float(size[c].max())))]
-    channel, k, low, high = (np.array([one[i] for one in found_at], np.int64) for i in range(4))
-    a, b, best, at = w[low], w[high], size[channel, k], w[k]
+    row, channel, k, low, high = _brackets(size, NEAR * np.maximum(peak[some], size.max(axis=2)))
+    a, b, best, at = w[row, low], w[row, high], size[row, channel, k], w[row, k]
     inner = np.linspace(0, 1, 9)
     for _ in range(7):
         x = a[:, None] + (b - a)[:, None] * inner
-        found = np.abs(1 + point.one(np.repeat(channel, inner.size), on_axis(x.ravel()))).reshape(x.shape)
+        found = np.abs(1 + point.one(np.repeat(some[row], inner.size), np.repeat(channel, inner.size), on_axis(x.ravel()))).reshape(x.shape)
         top = found.argmax(axis=1)
-        rows = np.arange(channel.size)
-        better = found[rows, top] > best
-        best, at = np.where(better, found[rows, top], best), np.where(better, x[rows, top], at)
-        a, b = x[rows, np.maximum(top - 1, 0)], x[rows, np.minimum(top + 1, 8)]
-    peak, where = peak.copy(), where.copy()
-    for c, value, place in zip(channel, best, at, strict=True):
-        if value > peak[c]:
-            peak[c], where[c] = value, place
-    return peak, where
+        each = np.arange(row.size)
+        better = found[each, top] > best
+        best, at = np.where(better, found[each, top], best), np.where(better, x[each, top], at)
+        a, b = x[each, np.maximum(top - 1, 0)], x[each, np.minimum(top + 1, 8)]
+    order = np.argsort(best, kind="stable")  # of several values the last one written, the highest, stays
+    order = order[best[order] > peak[some[row[order]], channel[order]]]
+    into = some[row[order]], channel[order]
+    peak[into], where[into] = best[order], at[order]
 
 
-def _brackets(size: Array, least: float) -> list[tuple[int, int, int]]:
-    """The highest local maxima (index, and those of their bracket) of at least ``least``; a bracket reaches to where the size has really fallen.
+def _brackets(size: Array, least: Array) -> tuple[Ints, Ints, Ints, Ints, Ints]:
+    """Of the highest local maxima on the last axis of ``size`` (m, n, k), of at least ``least`` (m, n): point, channel, index, and the indices of
+    a bracket, which reaches to where the size has really fallen.
 
     Frequencies that nearly coincide have sizes that differ by rounding only: one maximum, not several.
     """
-    inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:]) & (size[1:-1] > least)
-    tops = 1 + np.flatnonzero(inner)
-    out: list[tuple[int, int, int]] = []
-    for k in tops[np.argsort(-size[tops], kind="stable")].tolist():
-        if any(low < k < high for _, low, high in out):
-            continue
-        fallen = np.flatnonzero(size < size[k] * (1 - FLAT))
-        right = int(np.searchsorted(fallen, k))
-        out.append((k, int(fallen[right - 1]) if right else 0, int(fallen[right]) if right < fallen.size else size.size - 1))
-        if len(out) == CLIMBED:
+    m, n, last = *size.shape[:2], size.shape[2] - 1
+    size = size.reshape(m * n, -1)
+    owner, k = np.nonzero((size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:]) & (size[:, 1:-1] > least.reshape(-1, 1)))
+    k = k + 1
+    order = np.lexsort((-size[owner, k], owner))
+    owner, k = owner[order], k[order]
+    parts = []
+    for _ in range(CLIMBED):
+        if not owner.size:
             break
-    return out
+        first = np.concatenate([[True], np.diff(owner) > 0])
+        mine, top = owner[first], k[first]
+        fallen = size[mine, top] * (1 - FLAT)
+        ends = []
+        for step, edge in ((-1, 0), (1, last)):
+            end = top + step
+            climbing = np.flatnonzero((end != edge) & (size[mine, end] >= fallen))
+            while climbing.size:
+                end[climbing] += step
+                climbing = climbing[(end[climbing] != edge) & (size[mine[climbing], end[climbing]] >= fallen[climbing])]
+            ends.append(end)
+        parts.append((mine, top, *ends))
+        group = np.cumsum(first) - 1
+        outside = (k <= ends[0][group]) | (k >= ends[1][group])
+        owner, k = owner[outside], k[outside]
+    mine, top, low, high = (np.concatenate([part[i] for part in parts]) if parts else np.zeros(0, np.int64) for i in range(4))
+    return mine // n, mine % n, top, low, high
 
 
-def _joined(parts: list[tuple[Ints, Array, Complex]]) -> Crossings:
-    channel, w, H = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return Crossings(np.zeros(channel.size, np.int64), channel, w, H)
+def _joined(parts: list[Crossings]) -> Crossings:
+    return Crossings(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("point", "channel", "w", "H")))
 
 
-def _needed(point: _Point, w: Array, high: float, increase: Array) -> float:
-    """[rad/s] up to which a crossing could limit a margin: |L| >= 1, or a gain below the increase found so far. ``w`` resolves the poles."""
-    last = max(64 * high, float(w[-1]))
-    w = np.union1d(np.geomspace(high, last, int(25 * np.log10(last / high)) + 2), w[w > high])
-    H = point.H(on_axis(w))
+def _needed(point: _Points, some: Ints, w: Array, high: Array, increase: Array) -> Array:
+    """(k,) [rad/s] up to which a crossing could limit a margin: |L| >= 1, or a gain below the increase found so far. ``w`` resolves the poles."""
+    last = np.maximum(64 * high, w[:, -1])
+    span = (last / high)[:, None]
+    even = high[:, None] * span ** np.linspace(0, 1, int(25 * np.log10(span.max(initial=1.0))) + 2)
+    w = np.sort(np.concatenate([even, np.maximum(w, high[:, None])], axis=1), axis=1)
+    H = point.over_some(some, on_axis(w))
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(H / (1 + H))
-    binds = size >= np.minimum(1.0, 0.98 / increase)[:, None]
-    binds &= size > 1e-4
-    at = np.flatnonzero(binds.any(axis=0))
-    return float(w[min(at[-1] + 1, w.size - 1)]) if at.size else high
+    binds = np.any((size >= np.minimum(1.0, 0.98 / increase)[..., None]) & (size > 1e-4), axis=1)
+    row, k = np.nonzero(binds)
+    reach = high.copy()
+    reach[row] = w[row, np.minimum(k + 1, w.shape[1] - 1)]  # in increasing order: the last one stays
+    return reach

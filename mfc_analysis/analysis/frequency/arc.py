@@ -111,16 +111,18 @@ def _zeros(
     change = (fa >= 0) != (fb >= 0)
     point, channel, found = np.asarray(point[change], np.int64), np.asarray(channel[change], np.int64), at_b[change]
     a, b, fa, fb = (each[change] for each in (a, b, fa, fb))
-    x = b.copy()
+    x, todo = b.copy(), np.arange(b.size)
     for _ in range(50):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            secant = (a * fb - b * fa) / (fb - fa)
-        x = np.where((secant > a) & (secant < b), secant, (a + b) / 2)
-        found = evaluate(point, channel, at(x))
-        fx = function(found, at(x))
-        right = (fx >= 0) == (fb >= 0)
-        fa, fb = np.where(right, fa / 2, fx), np.where(right, fx, fb / 2)
-        a, b = np.where(right, a, x), np.where(right, x, b)
-        if np.all((np.abs(fx) <= 1e-13 * np.abs(found)) | (b - a <= 1e-13)):
+        if not todo.size:
             break
+        l, r, fl, fr = a[todo], b[todo], fa[todo], fb[todo]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            secant = (l * fr - r * fl) / (fr - fl)
+        x[todo] = try_ = np.where((secant > l) & (secant < r), secant, (l + r) / 2)
+        found[todo] = h = evaluate(point[todo], channel[todo], at(try_))
+        f = function(h, at(try_))
+        right = (f >= 0) == (fr >= 0)
+        a[todo], fa[todo] = np.where(right, l, try_), np.where(right, fl / 2, f)
+        b[todo], fb[todo] = np.where(right, try_, r), np.where(right, f, fr / 2)
+        todo = todo[~((np.abs(f) <= 1e-13 * np.abs(h)) | (b[todo] - a[todo] <= 1e-13))]
     return point, channel, x, found

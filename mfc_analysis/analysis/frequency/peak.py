@@ -43,12 +43,20 @@ def thinned(w: Array, poles: Complex) -> Array:
 
     Where many poles coincide most of the frequencies of interest are nearly equal.
     """
-    distance = np.abs(1j * w[:, :, None] - poles[:, None, :]).min(axis=2)
+    distance = np.stack([_distance(*one) for one in zip(w, poles, strict=True)])
     step = np.diff(w, axis=1)
     cell = np.floor(np.cumsum(step / np.maximum(np.maximum(0.3 * distance[:, :-1], step), 1e-300), axis=1))  # a pole may lie on a frequency
     keep = np.ones(w.shape, bool)
     keep[:, 1:-1] = np.diff(cell, axis=1) > 0
     return np.sort(np.where(keep, w, w[:, -1:]), axis=1)[:, : int(keep.sum(axis=1).max())]
+
+
+def _distance(w: Array, poles: Complex) -> Array:
+    """(k,) distance of the points jw (k,) from the nearest pole (nx,)."""
+    squared = w[:, None] - np.abs(poles.imag)
+    squared *= squared
+    squared += poles.real**2
+    return np.asarray(np.sqrt(squared.min(axis=1)))
 
 
 def sensitivity_peak(found: Resolvent, w: Array, H: Complex) -> tuple[Array, Array]:

@@ -133,3 +133,17 @@ def test_coinciding_poles_do_not_hide_the_sensitivity_peak(q):
     system = loop.linearize([0.0]).opened
     S = sensitivities(system, "torque", np.linspace(1, 20, 20_001))
     assert_allclose(margins(system, "torque").sensitivity_peak[0], np.abs(S[:, [0, 1], [0, 1]]).max(axis=0), rtol=1e-6)
+
+
+def test_many_points_at_once_have_the_margins_of_each_alone(rng):
+    """Points of different spread, some unstable, and two with a triple pole whose modes are ill conditioned, with two dead times."""
+    a, b = random_loops(rng, 12, 5, 2), random_loops(rng, 3, 5, 2)
+    A, B, C, D = (np.concatenate([getattr(a, name), factor * getattr(b, name)]) for name, factor in (("A", 40), ("B", 1), ("C", 1), ("D", 1)))
+    A[[2, 7], :3], B[[2, 7], :3] = np.eye(3, 5, k=1) - 5 * np.eye(3, 5), 0
+    system = replace(a, times=np.arange(15.0), A=A, B=B, C=C, D=D, wire_delay=np.array([0.11, 0.04]))
+    together = margins(system, "torque")
+    assert 4 < together.stable.sum() < 15
+    for i in range(15):
+        alone = margins(system.at(np.array([i])), "torque")
+        for name in ("gain_reduction", "gain_increase", "phase_deg", "delay", "crossover", "sensitivity_peak"):
+            assert_allclose(getattr(together, name)[i], getattr(alone, name)[0], rtol=1e-9, err_msg=f"{name} at {i}")
