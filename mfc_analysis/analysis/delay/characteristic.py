@@ -13,6 +13,7 @@ which is entire: f has no poles. A sampled loop has x[k + 1] and z = e^(s dt) in
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,12 +22,13 @@ from scipy.linalg import matrix_balance
 
 from mfc_analysis.analysis.spectrum import rates
 from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.maths.arrays import Array, Complex, on_axis
+from mfc_analysis.maths.arrays import Array, Bools, Complex, on_axis
 
 NEAR = 1e-5  #: relative distance from a pole of G within which f is computed without G
 CHUNK = 2_000_000  #: complex numbers solved for at a time
 PHASES = 48  #: relative phases tried of two dead times
 BESIDE = 1e-11  #: relative distance from a pole of G below which f is taken beside it: nearer, its rate has no digits
+SURE = 1e-9  #: relative distance from a limit at which a bound of a spectral radius settles on which side of it the radius is
 NO_LOOP = 1e-12  #: a loop gain below this fraction of the largest entry of G is no loop
 
 
@@ -80,7 +82,9 @@ class Delayed:
         """False where no dead time lies in a loop: the roots are then those of A."""
         size = np.abs(self.places)
         w = np.geomspace(1e-2 * size.min(), min(1e2 * size.max(), np.pi / self.dt if self.dt else np.inf), 40)
-        G = np.abs(self.response(on_axis(w))[0])
+        G = np.abs(self.gain(on_axis(w)))
+        if np.einsum("kii->ki", G).max() >= NO_LOOP * max(1.0, float(G.max())):  # no spectral radius is below an entry of the diagonal
+            return True
         if not np.linalg.matrix_power(G.any(axis=0).astype(float), len(self.T)).any():  # a chain that no wire closes
             return False
         return bool(perron(G).max(initial=0.0) >= NO_LOOP * max(1.0, float(G.max(initial=0.0))))
@@ -101,16 +105,25 @@ class Delayed:
 
     def response(self, s: Complex) -> tuple[Complex, Complex]:
         """G (k, nd, nd) and dG/ds at s (k,)."""
-        nx, nd = len(self.A), len(self.T)
         z, slope = self._beside_poles(s)
-        G, dG = np.empty((z.size, nd, nd), np.complex128), np.empty((z.size, nd, nd), np.complex128)
+        G, dG = np.empty((2, z.size, len(self.T), len(self.T)), np.complex128)
+        for some, matrix, X in self._solutions(z):
+            G[some] = self.C @ X + self.D
+            dG[some] = -self.C @ _solved(matrix, X) * slope[some, None, None]
+        return G, dG
+
+    def gain(self, s: Complex) -> Complex:
+        """G (k, nd, nd) at s (k,)."""
+        z, _ = self._beside_poles(s)
+        return np.concatenate([self.C @ X + self.D for _, _, X in self._solutions(z)])
+
+    def _solutions(self, z: Complex) -> Iterator[tuple[slice, Complex, Complex]]:
+        """Parts of z, zI - A and (zI - A)^-1 B there."""
+        nx = len(self.A)
         step = max(1, CHUNK // max(1, nx * nx))
         for k in range(0, z.size, step):
             matrix = z[k : k + step, None, None] * np.eye(nx) - self.A
-            X = _solved(matrix, np.broadcast_to(self.B.astype(complex), (len(matrix), *self.B.shape)))
-            G[k : k + step] = self.C @ X + self.D
-            dG[k : k + step] = -self.C @ _solved(matrix, X) * slope[k : k + step, None, None]
-        return G, dG
+            yield slice(k, k + step), matrix, _solved(matrix, np.broadcast_to(self.B.astype(complex), (len(matrix), *self.B.shape)))
 
     def value(self, s: Complex, poles: Complex) -> tuple[Array, Complex, Complex]:
         """Of g = f / prod(s - poles) at s (k,): its phase [rad] modulo a turn and (dg/ds) / g, each (k,); and E G (k, nd, nd)."""
@@ -153,6 +166,31 @@ class Delayed:
         if self.one_delay:
             return np.asarray(np.abs(np.linalg.eigvals(loop)).max(axis=1))
         return perron(np.abs(loop))
+
+    def contracts(self, loop: Complex, limit: float) -> Bools:
+        """(k,) where ``contraction`` is below ``limit``. Where all dead times are equal, mostly without eigenvalues."""
+        return _radius_below(loop, limit) if self.one_delay else np.asarray(perron(np.abs(loop)) < limit)
+
+
+def _radius_below(M: Complex, limit: float) -> Bools:
+    """(k,) where the spectral radius of M (k, n, n) is below ``limit``: by norm and trace of its powers 2, 4, ..., 32, else by eigenvalues."""
+    below, unsure = np.zeros(len(M), bool), np.ones(len(M), bool)
+    with np.errstate(all="ignore"):
+        size = np.linalg.norm(M, axis=(1, 2))
+        power, log = M / size[:, None, None], np.log(size)  # M^(2^j) = e^log power
+        for j in range(6):
+            upper, lower = np.exp(log / 2**j), np.exp((log + np.log(np.abs(np.einsum("kii->k", power)) / M.shape[1])) / 2**j)
+            below |= unsure & ((upper < limit * (1 - SURE)) | (size == 0))
+            unsure &= ~below & ~(lower > limit * (1 + SURE))
+            power = power @ power
+            size = np.linalg.norm(power, axis=(1, 2))
+            power, log = power / size[:, None, None], 2 * log + np.log(size)
+            log[size < 1e-6] = np.nan  # few digits left: no bound settles these
+            size[:] = 1
+    left = np.flatnonzero(unsure)
+    if left.size:
+        below[left] = np.abs(np.linalg.eigvals(M[left])).max(axis=1) < limit
+    return below
 
 
 def delayed_points(system: OpenSystem) -> list[Delayed]:

@@ -41,22 +41,22 @@ class Walk:
     on_it: Complex  #: roots on the contour, up to rounding
 
 
-def unstable_roots(point: Delayed, radius: float) -> tuple[int, Walk]:
+def unstable_roots(point: Delayed, radius: float, most: int = MOST) -> tuple[int, Walk]:
     """The number of roots with a real part above zero and abs(s) >= ``radius`` [1/s], roots on the axis included; and the walk along the axis.
 
-    Raises ``NotConverged`` where the contour takes too many samples.
+    Raises ``NotConverged`` where the contour takes more than ``most`` samples.
     """
     poles, inner = _mirrored(point), 0
     if not radius:
         radius = 1e-9 * float(np.abs(point.places).min())
         inner = roots_within(point, radius)
     for nudge in NUDGES:
-        arc = _walk(point, poles, _angles(point, nudge * radius, np.pi / 2), nudge * radius)
+        arc = _walk(point, poles, _angles(point, nudge * radius, np.pi / 2), nudge * radius, most=most)
         if not arc.on_it.size:
             break
     else:
         raise _unsettled(f"a root lies on the circle of {radius:.4g} 1/s")
-    axis = _along_axis(point, poles, nudge * radius)
+    axis = _along_axis(point, poles, nudge * radius, most)
     if axis.on_it.size:
         return axis.on_it.size, axis
     turn = arc.turn + axis.turn
@@ -108,7 +108,7 @@ def _angles(point: Delayed, radius: float, last: float) -> Array:
     return np.asarray(every[(every >= 0) & (every <= last)])
 
 
-def _along_axis(point: Delayed, poles: Complex, edge: float) -> Walk:
+def _along_axis(point: Delayed, poles: Complex, edge: float, most: int) -> Walk:
     s = point.places
     size = np.abs(s)
     last = np.pi / point.dt if point.dt else 1e3 * float(size.max())
@@ -118,7 +118,7 @@ def _along_axis(point: Delayed, poles: Complex, edge: float) -> Walk:
     w = w[(w >= edge) & (w <= last)]
     if not point.dt:
         w = _until_contracting(point, w)
-    return _walk(point, poles, w, edge, axis=True)
+    return _walk(point, poles, w, edge, axis=True, most=most)
 
 
 def _contracts(point: Delayed) -> float:
@@ -131,15 +131,16 @@ def _until_contracting(point: Delayed, w: Array) -> Array:
     """The frequencies to well above every pole and up to where the loop gain is below one for good; more are added where it is not at the last."""
     limit, above = _contracts(point), int(np.searchsorted(w, 3 * float(np.abs(point.places).max())))
     for _ in range(12):
-        size = point.contraction(point.response(on_axis(w))[0])
-        last = max(above, int(np.flatnonzero(size >= limit).max(initial=0)) + 2)
+        start = max(above - 1, 0)  # those below make no difference
+        loud = ~point.contracts(point.gain(on_axis(w[start:])), limit)
+        last = max(above, start + int(np.flatnonzero(loud).max(initial=0)) + 2 if loud.any() else 2)
         if last < w.size:
             return w[: last + 1]
         w = np.concatenate([w, w[-1] * np.geomspace(1, 1e3, 3 * LADDER)[1:]])
     raise _unsettled("the loop gain does not fall below one at high frequency")
 
 
-def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: complex = 0.0, axis: bool = False) -> Walk:
+def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: complex = 0.0, axis: bool = False, most: int = MOST) -> Walk:
     """Refines the samples u (k,): angles on a circle about ``center``, or frequencies on the axis."""
 
     def at(u: Array) -> tuple[Complex, Complex]:
@@ -148,14 +149,15 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
             return on_axis(u), np.full(u.size, 1j, np.complex128)
         return np.asarray(center + radius * turned, np.complex128), np.asarray(1j * radius * turned, np.complex128)
 
-    def values(u: Array) -> tuple[Complex, Array, Complex, Complex, Bools, Array]:
+    def values(u: Array) -> tuple[Complex, Array, Complex, Complex, Bools, Bools, Array]:
         s, ds = at(u)
         phase, rate, loop = point.value(s, poles)
-        calm = point.contraction(loop) < limit if axis and not point.dt else np.zeros(u.size, bool)
-        return s, phase, rate * ds, loop, calm, np.abs(s[:, None] - point.open_poles).min(axis=1, initial=np.inf)
+        gap = np.abs(s[:, None] - point.open_poles).min(axis=1, initial=np.inf) if leaps else np.zeros(u.size)
+        return s, phase, rate * ds, loop, np.zeros(u.size, bool), np.full(u.size, not leaps), gap
 
-    limit = _contracts(point)
-    s, phase, rate, loop, calm, gap = values(u)
+    leaps = axis and not point.dt
+    limit = _contracts(point) if leaps else 1.0
+    s, phase, rate, loop, calm, asked, gap = values(u)
     narrow = NARROW if axis else NARROW / max(1.0, abs(center) / radius)
     while True:
         step = np.diff(u)
@@ -164,21 +166,27 @@ def _walk(point: Delayed, poles: Complex, u: Array, radius: float, center: compl
         with np.errstate(invalid="ignore", over="ignore"):
             predicted = 0.5 * step * (rate[:-1] + rate[1:]).imag
             fine = (step * steep <= 1) & (np.abs(turn) <= np.pi / 4) & (np.abs(turn - predicted) <= 0.3)
-        leap = calm[:-1] & calm[1:] & (step <= FROM_POLES * (1 - limit) * np.minimum(gap[:-1], gap[1:]))
+        leap = ~fine & (step <= FROM_POLES * (1 - limit) * np.minimum(gap[:-1], gap[1:]))
+        ask = np.flatnonzero((np.append(leap, False) | np.insert(leap, 0, False)) & ~asked)
+        if ask.size:
+            calm[ask], asked[ask] = point.contracts(loop[ask], limit), True
+        leap &= calm[:-1] & calm[1:]
         done = step <= narrow * (np.abs(u[1:]) if axis else 1.0)
         bad = np.flatnonzero(~(fine | leap | done))
         if not bad.size:
             break
-        if u.size + bad.size > MOST:
-            raise _unsettled(f"the contour takes more than {MOST} samples: dead time x fastest frequency of the loop is too large")
+        if u.size + bad.size > most:
+            raise _unsettled(f"the contour takes more than {most} samples: dead time x fastest frequency of the loop is too large")
         middle = 0.5 * (u[bad] + u[bad + 1])
         new = values(middle)
         u = np.insert(u, bad + 1, middle)
-        old: tuple[Any, ...] = (s, phase, rate, loop, calm, gap)
-        s, phase, rate, loop, calm, gap = (np.insert(one, bad + 1, add, axis=0) for one, add in zip(old, new, strict=True))
+        old: tuple[Any, ...] = (s, phase, rate, loop, calm, asked, gap)
+        s, phase, rate, loop, calm, asked, gap = (np.insert(one, bad + 1, add, axis=0) for one, add in zip(old, new, strict=True))
     if leap.any():
-        known = _principal(loop) + _continuous(s, point.open_poles) - _continuous(s, poles)
-        turn = np.where(leap & ~fine, np.diff(known), turn)
+        ends = np.append(leap, False) | np.insert(leap, 0, False)
+        known = np.zeros(u.size)
+        known[ends] = _principal(loop[ends]) + _continuous(s[ends], point.open_poles) - _continuous(s[ends], poles)
+        turn = np.where(leap, np.diff(known), turn)
     crossed = done & ~fine & ~leap
     return Walk(s, loop, float(np.where(crossed, 0.0, turn).sum()), _merged(s[:-1][crossed]))
 

@@ -78,7 +78,7 @@ def _reach(point: Delayed) -> float:
     size = np.abs(point.places)
     even = np.geomspace(max(float(size.min()), 1e-3 * float(size.max())) * 0.3, 1e3 * float(size.max()), 80)
     w = np.union1d(even, size * 1.0001)
-    alive = np.flatnonzero(perron(np.abs(point.response(on_axis(w))[0])) >= 0.7)
+    alive = np.flatnonzero(perron(np.abs(point.gain(on_axis(w)))) >= 0.7)
     return float(w[min(alive[-1] + 1, w.size - 1)]) if alive.size else float(w[0])
 
 

@@ -20,7 +20,8 @@ SAME = 1e-3  #: two places nearer than this over the dead time are one,
 NEWTON = 9  #: and steps, the first three from eigenvalue to eigenvalue
 MOST_GROWTH = 50.0  #: largest growth in one dead time of a root that is sought
 LONGEST = 20.0  #: horizons: the largest dead time that is judged
-TRIED = 6  #: places at which an unstable root is sought before the roots are counted
+FEW = 2_000  #: samples of a contour up to which the roots are counted before one is sought
+TRIED = 6  #: places at which an unstable root is sought
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +68,14 @@ def unstable_count(point: Delayed, radius: float) -> int:
 
 def _counted(point: Delayed, radius: float) -> tuple[int, Array]:
     """That number, and the frequencies [rad/s] of the count along the axis."""
-    if point.strongest_direct >= CERTAINLY or some_unstable(point, radius):
+    if point.strongest_direct >= CERTAINLY:
         return 1, np.zeros(0)
-    unstable, walk = unstable_roots(point, radius)
+    try:
+        unstable, walk = unstable_roots(point, radius, FEW)
+    except NotConverged:  # a long contour: a root that is easily found saves it
+        if some_unstable(point, radius):
+            return 1, np.zeros(0)
+        unstable, walk = unstable_roots(point, radius)
     return unstable, walk.s.imag
 
 
@@ -120,4 +126,4 @@ def _apart(x: Array, gap: float) -> Array:
 
 def _eigenvalues(point: Delayed, s: Complex) -> Complex:
     """(k, nd) eigenvalues of E G at s (k,)."""
-    return np.asarray(np.linalg.eigvals(point.response(s)[0] * np.exp(-s[:, None] * point.T)[:, :, None]), np.complex128)
+    return np.asarray(np.linalg.eigvals(point.gain(s) * np.exp(-s[:, None] * point.T)[:, :, None]), np.complex128)

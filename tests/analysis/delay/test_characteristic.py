@@ -131,3 +131,27 @@ def test_perrons_bounds_are_close_from_above(rng):
     assert (found >= exact * (1 - 1e-12)).all()
     assert_allclose(found, exact, rtol=1e-2)
     assert perron(np.zeros((1, 3, 3)))[0] == 0
+
+
+def test_a_loop_gain_is_below_a_limit_where_its_eigenvalues_are(rng):
+    """Of all kinds of matrices, nilpotent, zero and graded ones among them, with limits on both sides of the largest eigenvalue."""
+    (point,) = delayed_points(open_system(1 / s, delay=0.2))
+    M = rng.normal(size=(400, 4, 4)) + 1j * rng.normal(size=(400, 4, 4))
+    M[100:200] = np.triu(M[100:200])
+    M[200:300] *= np.geomspace(1, 1e5, 4)[:, None] / np.geomspace(1, 1e5, 4)
+    M[300:350, :, 1:] = M[300:350, :, :1] * rng.normal(size=(50, 1, 3))
+    M[0], M[1] = 0, np.eye(4, k=1)
+    M *= 10.0 ** rng.uniform(-60, 60, (400, 1, 1))
+    radius = np.abs(np.linalg.eigvals(M)).max(axis=1)
+    for off in (-0.5, -1e-3, -1e-7, 1e-7, 1e-3, 0.5):
+        below = [point.contracts(one[None], r * (1 + off))[0] for one, r in zip(M[2:], radius[2:], strict=True)]
+        assert np.all(np.array(below) == (off > 0)), off
+    assert point.contracts(M[:2], 1e-3).all()
+    assert_allclose(point.contracts(M / radius.max(), 0.8), point.contraction(M / radius.max()) < 0.8)
+
+
+@pytest.mark.parametrize("delay", DELAYS, ids=["two", "equal", "one"])
+def test_the_response_alone_is_that_with_its_slope(rng, delay):
+    for point in delayed_points(loops(rng, delay)):
+        at = np.array([0.3 + 2j, 5j, -0.1 + 40j])
+        assert_allclose(point.gain(at), point.response(at)[0], rtol=1e-14)
