@@ -15,6 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 import mfc_analysis as mfc
+from mfc_analysis.errors import MfcError
 from tests.soak.contour import Undecided, decays
 
 L, Z = mfc.laws, np.eye(6)[2]
@@ -71,7 +72,7 @@ def judged(seed: int) -> tuple[str, str]:
         start = time.perf_counter()
         ours = bool(lin.stability.nonzero_stable[0])
         took = time.perf_counter() - start
-    except mfc.MfcError as why:
+    except MfcError as why:
         return "refused", f"{said}: {why}"
     except Exception as why:
         return "EXCEPTION", f"{said}: {type(why).__name__}: {why}"

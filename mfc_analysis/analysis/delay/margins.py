@@ -21,18 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
-from mfc_analysis.analysis.delay.characteristic import delayed_points
 from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delays, places
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
 from mfc_analysis.analysis.frequency.resolvent import CONDITION
 from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, also_late, assembled, put
-from mfc_analysis.analysis.system import OpenSystem
+from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
 MOST = 40_000  #: frequencies at one point
 CHUNK = 1_000_000  #: complex numbers at a time
 NEAR, CLIMBED = 0.7, 3  #: a local maximum of at least this fraction of the highest is refined, and this many of them
+PARABOLAS = 8  #: steps of the refinement, from vertex to vertex of the parabola through three places
 FLAT = 1e-9  #: relative difference of two sizes below which they count as equal
 TURN = 0.2  #: [rad] phase of e^(-jwT) between two frequencies
 
@@ -46,7 +46,7 @@ class _Points:
     C: Array  #: (m, k, nx)
     M: Array  #: (m, k, k)
     T: Array  #: (k,) [s] of these wires
-    rows: Ints  #: (n,) indices of the channels among them
+    rows: Ints  #: (n,) indices of the channels among them, one after the other
     rates: Ints | None  #: (n,) indices of the wires with their rates
     modal: Bools  #: (m,) modes are well conditioned
     poles: Complex  #: (m, nx)
@@ -58,12 +58,12 @@ class _Points:
         out = np.empty((s.size, n), np.complex128)
         for some in self._chunks(s.size):
             W, matrix = self._loop(point[some], s[some])
-            inject = np.zeros((len(W), len(self.T), n), np.complex128)
+            inject = np.zeros((1 if self.rates is None else len(W), len(self.T), n), np.complex128)
             inject[:, self.rows, each] = 1
             if self.rates is not None:
                 inject[:, self.rates, each] = s[some, None]
             X = np.linalg.solve(matrix, inject)
-            out[some] = (W[:, self.rows] * X.transpose(0, 2, 1)).sum(axis=2) - 1
+            out[some] = (W[:, self.rows[0] : self.rows[-1] + 1] * X.transpose(0, 2, 1)).sum(axis=2) - 1
         return out
 
     def over(self, s: Complex) -> Complex:
@@ -118,8 +118,7 @@ def delayed_metrics(system: OpenSystem, at: str, judged: Bools, walks: Sequence[
     every = np.asarray(np.flatnonzero(judged), np.int64)
     size = np.array([walks[int(i)].size for i in every]) + 1000.0
     for some in _groups(every, size, ch.H0.shape[1]):
-        cut = [point.places for point in delayed_points(system.at(some))]
-        found = _metrics(_points(system, at, some), ch.at(some), _padded(cut), _padded([walks[int(i)] for i in some]), system.radius)
+        found = _metrics(_points(system, at, some), ch.at(some), _cut_poles(system.at(some)), _padded([walks[int(i)] for i in some]), system.radius)
         put(metrics, some, MarginMetrics(**found))
     return metrics
 
@@ -141,6 +140,13 @@ def _padded(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Rows of different length, each continued by its last value (an empty one by 0)."""
     longest = max(one.size for one in parts)
     return np.stack([np.pad(one, (0, longest - one.size), mode="edge" if one.size else "constant") for one in parts])
+
+
+def _cut_poles(system: OpenSystem) -> Complex:
+    """(m, nx + nw) poles [1/s] with the delayed wires cut, and 1/T of these wires: features of the loop with dead time."""
+    late = system.wire_delay > 0
+    found = np.linalg.eigvals(close_wires(system, keep=late)[0]).astype(np.complex128)
+    return np.asarray(np.concatenate([found, np.broadcast_to(1 / system.wire_delay[late], (len(found), int(late.sum())))], axis=1), np.complex128)
 
 
 def _points(system: OpenSystem, at: str, index: Ints) -> _Points:
@@ -165,11 +171,11 @@ def _points(system: OpenSystem, at: str, index: Ints) -> _Points:
 
 
 def _metrics(point: _Points, ch: Channels, cut: Complex, walk: Array, radius: float) -> dict[str, Array]:
-    """The metrics (m, n). ``cut``: places of the features of the loop with dead time (m, j); ``walk``: frequencies of its count (m, k)."""
+    """The metrics (m, n). ``cut``: features of the loop with dead time (m, j); ``walk``: frequencies of its count (m, k)."""
     m, n = ch.H0.shape
     column = ch.B / (1 + ch.H0)[:, None]
     opened = np.linalg.eigvals(ch.A[:, None] - column.transpose(0, 2, 1)[:, :, :, None] * ch.C[:, :, None, :]).reshape(m, -1)
-    poles = np.concatenate([cut, opened], axis=1).astype(np.complex128)
+    poles = np.concatenate([cut, point.poles, opened], axis=1).astype(np.complex128)
     w = thinned(frequencies_of_interest(poles, radius), poles)
     w = np.sort(np.concatenate([w, np.where((walk >= radius) & (walk <= w[:, -1:]), walk, w[:, -1:])], axis=1), axis=1)
     longest = float(point.T.max())
@@ -279,16 +285,32 @@ def _peaks(point: _Points, some: Ints, w: Array, H: Complex, peak: Array, where:
     """Raises ``peak`` and its frequency ``where`` (all points, n) in place to the largest |S| on w, refined at its highest frequencies."""
     size = np.abs(1 + H)
     row, channel, k, low, high = _brackets(size, NEAR * np.maximum(peak[some], size.max(axis=2)))
-    a, b, best, at = w[row, low], w[row, high], size[row, channel, k], w[row, k]
+    owner, each = some[row], np.arange(row.size)
+    a, x, b = w[row, low], w[row, k], w[row, high]
+    fa, f, fb = size[row, channel, low], size[row, channel, k], size[row, channel, high]
+    best, at = f, x
     inner = np.linspace(0, 1, 9)
-    for _ in range(7):
-        x = a[:, None] + (b - a)[:, None] * inner
-        found = np.abs(1 + point.one(np.repeat(some[row], inner.size), np.repeat(channel, inner.size), on_axis(x.ravel()))).reshape(x.shape)
-        top = found.argmax(axis=1)
-        each = np.arange(row.size)
-        better = found[each, top] > best
-        best, at = np.where(better, found[each, top], best), np.where(better, x[each, top], at)
-        a, b = x[each, np.maximum(top - 1, 0)], x[each, np.minimum(top + 1, 8)]
+    for _ in range(2):
+        tried = a[:, None] + (b - a)[:, None] * inner
+        found = np.abs(1 + point.one(np.repeat(owner, 9), np.repeat(channel, 9), on_axis(tried.ravel()))).reshape(tried.shape)
+        highest, first = found.max(axis=1), found.argmax(axis=1)
+        best, at = np.where(highest > best, highest, best), np.where(highest > best, tried[each, first], at)
+        top = np.clip(first, 1, 7)
+        a, x, b = (tried[each, top + i] for i in (-1, 0, 1))
+        fa, f, fb = (found[each, top + i] for i in (-1, 0, 1))
+    for _ in range(PARABOLAS):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left, right = (x - a) * (f - fb), (x - b) * (f - fa)
+            vertex = x - 0.5 * ((x - a) * left - (x - b) * right) / (left - right)
+        vertex = np.where((vertex > a) & (vertex < b) & (vertex != x), vertex, np.where(x - a > b - x, (a + x) / 2, (x + b) / 2))
+        g = np.abs(1 + point.one(owner, channel, on_axis(vertex)))
+        higher = g > f
+        left_end = higher == (vertex > x)  # the end that moves: to the vertex, or to x where the vertex is higher
+        end, f_end = np.where(higher, x, vertex), np.where(higher, f, g)
+        a, fa = np.where(left_end, end, a), np.where(left_end, f_end, fa)
+        b, fb = np.where(left_end, b, end), np.where(left_end, fb, f_end)
+        x, f = np.where(higher, vertex, x), np.where(higher, g, f)
+    best, at = np.where(f > best, f, best), np.where(f > best, x, at)
     order = np.argsort(best, kind="stable")  # of several values the last one written, the highest, stays
     order = order[best[order] > peak[some[row[order]], channel[order]]]
     into = some[row[order]], channel[order]
