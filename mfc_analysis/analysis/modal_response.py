@@ -81,13 +81,13 @@ class Terms:
         return out
 
     def over(self, mode: int, time: float) -> Complex:
-        """(k, k) exp(J time) of one mode; the mean rate apart, so that nothing overflows."""
+        """(k, k) exp(J time) of one mode; its slowest rate apart, so that nothing overflows."""
         at = self.blocks[mode]
         J = np.diag(self.rates[at]) + np.diag(self.above[at][:-1], 1)
         if self.dt:
             return np.asarray(np.linalg.matrix_power(np.eye(len(J)) + self.dt * J, round(time / self.dt)))
-        mean = self.rates[at].mean()
-        return np.asarray(np.exp(mean * time) * expm((J - mean * np.eye(len(J))) * time))
+        slowest = self.rates[at][self.rates[at].real.argmax()]
+        return np.asarray(np.exp(slowest * time) * expm((J - slowest * np.eye(len(J))) * time))
 
     def rows(self, modes: list[int], start: float, h: float, count: int) -> Complex:
         """(k, count): f of these modes at ``start`` and after 1, 2, ... sections of ``h``, by doubling."""
