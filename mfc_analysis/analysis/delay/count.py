@@ -49,7 +49,7 @@ def unstable_roots(point: Delayed, radius: float, most: int = MOST) -> tuple[int
     poles, inner = _mirrored(point), 0
     if not radius:
         radius = 1e-9 * float(np.abs(point.places).min())
-        inner = roots_within(point, radius)
+        inner = roots_within(point, radius, most=most)
     for nudge in NUDGES:
         arc = _walk(point, poles, _angles(point, nudge * radius, np.pi / 2), nudge * radius, most=most)
         if not arc.on_it.size:
@@ -66,13 +66,13 @@ def unstable_roots(point: Delayed, radius: float, most: int = MOST) -> tuple[int
     return _whole(-turn / np.pi) + inner, axis
 
 
-def roots_within(point: Delayed, radius: float, center: complex = 0.0) -> int:
+def roots_within(point: Delayed, radius: float, center: complex = 0.0, most: int = MOST) -> int:
     """The number of roots in the disc abs(s - center) < ``radius`` [1/s]. Raises ``NotConverged``."""
     none, last = np.zeros(0, np.complex128), 2 * np.pi if center.imag else np.pi
     for nudge in NUDGES:
         size = nudge * radius
         u = np.linspace(0, last, 17) if center else _angles(point, size, last)
-        walk = _walk(point, none, u, size, center)
+        walk = _walk(point, none, u, size, center, most=most)
         if not walk.on_it.size:
             return _whole(walk.turn / last)
     raise _unsettled(f"a root lies on the circle of {radius:.4g} 1/s")

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 from scipy.special import lambertw
 
+from mfc_analysis.analysis.delay import count
 from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points
 from mfc_analysis.analysis.delay.count import roots_within, unstable_roots
 from mfc_analysis.analysis.stability import stability
@@ -126,8 +127,8 @@ def test_the_walk_along_the_axis_starts_at_the_radius_and_resolves_the_roots_nea
 
 
 def test_a_root_on_the_axis_is_reported_as_unstable():
-    count, walk = unstable_roots(delayed(1 / s, np.pi / 2), RADIUS)
-    assert count >= 1
+    number, walk = unstable_roots(delayed(1 / s, np.pi / 2), RADIUS)
+    assert number >= 1
     assert not walk.on_it.size or abs(walk.on_it[0] - 1j) < 1e-8
 
 
@@ -158,3 +159,11 @@ def test_a_direct_gain_below_one_leaves_the_count_of_nyquists_plot(d, sign, k, T
     turn = np.unwrap(np.angle(g))
     encircled = -(turn[-1] - turn[0] - np.angle(g[-1])) / np.pi  # far away g - 1 is below one: the arc at infinity keeps to the right half plane
     assert unstable_roots(delayed(L, T), 0.0)[0] == round(encircled)
+
+
+def test_a_limit_of_samples_holds_for_the_disc_at_the_origin_too(monkeypatch):
+    limits = []
+    within = count.roots_within
+    monkeypatch.setattr(count, "roots_within", lambda *about, **more: limits.append(more) or within(*about, **more))
+    assert unstable_roots(delayed(1 / s, 1.0), 0.0, 2000)[0] == 0
+    assert limits == [{"most": 2000}]
