@@ -95,8 +95,18 @@ class Terms:
         s = self.rates[modes[:k]]
         first = [(1 + self.dt * s) ** round(t / self.dt) if self.dt else np.exp(s * t) for t in (start, h)]
         parts = [_doubled(first[0][:, None], first[1][:, None], count, np.multiply)]
-        parts += [_doubled(self.over(mode, start)[0, :, None], self.over(mode, h).T, count, np.matmul) for mode in modes[k:]]
+        parts += [_doubled(self.over(mode, start)[0, :, None], self._section(mode, h).T, count, np.matmul) for mode in modes[k:]]
         return np.concatenate(parts)
+
+    def _section(self, mode: int, h: float) -> Complex:
+        """``over`` a section, whose length comes again in every piece of a phase."""
+        if (mode, h) not in self._sections:
+            self._sections[mode, h] = self.over(mode, h)
+        return self._sections[mode, h]
+
+    @cached_property
+    def _sections(self) -> dict[tuple[int, float], Complex]:
+        return {}
 
     def bounds(self, times: Array) -> Array:
         """(times, P) of their size from each of ``times`` [s], increasing, on."""

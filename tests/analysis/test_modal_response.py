@@ -112,3 +112,16 @@ def test_close_eigenvalues_that_differ_keep_their_form() -> None:
     assert len(found.blocks) == 1
     t = np.linspace(0.0, 2.0, 9)
     assert_allclose(run.piece(0).values(t)[0], [exact(T, x) for x in t], atol=1e-9 * found.size.max())
+
+
+def test_a_group_of_modes_of_very_different_decay_does_not_overflow() -> None:
+    rates, one = np.array([-1e-3, -40.0 + 30j, -40.0 - 30j], complex), np.ones((3, 1), complex)
+    group = Terms(rates, np.array([1e-3, 1e-3, 0.0]), one, one.real, (slice(0, 3),))
+    for time in (0.1, 50.0, 6e4):
+        J = np.diag(rates) + np.diag([1e-3, 1e-3], 1)
+        found = group.over(0, time)
+        assert np.isfinite(found).all()
+        assert_allclose(found[0, 0], np.exp(-1e-3 * time), rtol=1e-12)
+        if time < 1:
+            assert_allclose(found, expm(J * time), atol=1e-12)
+    assert np.isfinite(group.bounds(np.array([0.0, 1.0, 1e5]))).all()

@@ -161,7 +161,7 @@ def drawn(seed: int) -> tuple[str, mfc.ClosedLoop]:
         try:
             if attempt == ATTEMPTS - 1 or loop.linearize([0.0]).stability.nonzero_stable[0]:
                 break
-        except mfc.MfcError:
+        except mfc.errors.MfcError:
             continue
     return said, loop
 
@@ -321,7 +321,7 @@ def main() -> int:
             found["loops"] += 1
             found[f"{said[:4]} stable"] += found["unstable loops"] == before
             wrong += wrong_delays(random_plant(seed), 1.0, 100.0, found)
-        except mfc.MfcError as why:
+        except mfc.errors.MfcError as why:
             found["refused"] += 1
             sys.stdout.write(f"refused {seed}: {why}\n")
             continue
