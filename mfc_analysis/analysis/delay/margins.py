@@ -33,6 +33,7 @@ MOST = 40_000  #: frequencies at one point
 CHUNK = 1_000_000  #: complex numbers at a time
 NEAR, CLIMBED = 0.7, 3  #: a local maximum of at least this fraction of the highest is refined, and this many of them
 PARABOLAS = 8  #: steps of the refinement, from vertex to vertex of the parabola through three places
+ON_POLE, BESIDE = 1e-12, 1e-9  #: relative distance from a pole at which a place lies on it, and by which it is moved
 FLAT = 1e-9  #: relative difference of two sizes below which they count as equal
 TURN = 0.2  #: [rad] phase of e^(-jwT) between two frequencies
 
@@ -94,6 +95,9 @@ class _Points:
 
     def _loop(self, point: Ints, s: Complex) -> tuple[Complex, Complex]:
         k = len(self.T)
+        with np.errstate(invalid="ignore"):
+            on_pole = np.abs(s[:, None] - self.poles[point]).min(axis=1, initial=np.inf) <= ON_POLE * np.abs(s)
+        s = np.where(on_pole, s * (1 + BESIDE), s)  # of the loop without dead time: W is infinite there, S is not
         W = np.empty((s.size, k * k), np.complex128)
         order = np.argsort(point, kind="stable")
         start = np.searchsorted(point[order], np.arange(len(self.A) + 1))

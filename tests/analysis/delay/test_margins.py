@@ -147,3 +147,15 @@ def test_many_points_at_once_have_the_margins_of_each_alone(rng):
         alone = margins(system.at(np.array([i])), "torque")
         for name in ("gain_reduction", "gain_increase", "phase_deg", "delay", "crossover", "sensitivity_peak"):
             assert_allclose(getattr(together, name)[i], getattr(alone, name)[0], rtol=1e-9, err_msg=f"{name} at {i}")
+
+
+def test_a_loop_whose_poles_without_dead_time_lie_on_the_axis_has_margins_with_it():
+    # without dead time s^2 + 1; with it s^2 + 1.2 - 0.2 e^(-s T), which it damps
+    L = control.ss([[0.0, 1.0], [-1.2, 0.0]], [[0.0], [1.0]], [[-0.2, 0.0]], [[0.0]])
+    T = 0.4
+    found = margins(open_system(L, delay=T), "torque")
+    w = np.append(np.geomspace(0.02, 50, 40_001), 1.0)
+    assert found.stable[0]
+    assert_allclose(found.sensitivity_peak[0, 0], np.abs(1 / (1 + L(1j * w) * np.exp(-1j * w * T))).max(), rtol=1e-6)
+    for gain, expectation in ((0.999, True), (1.001, False)):  # the pair is lost where the dead time no longer damps it
+        assert stability(open_system(gain * found.gain_increase[0, 0] * L, delay=T)).nonzero_stable[0] == expectation
