@@ -56,7 +56,12 @@ def _verdict(system: OpenSystem, known: Spectrum, index: int, point: Delayed) ->
         motion = part.slow.moves(system.horizon) if part and slow else np.zeros((nx, nx))
         return DelayedVerdict(slow, decays, slow < nx - system.registers, roots, motion, none)
     unstable, walk = _counted(point, radius)
-    slow = roots_within(point, radius) if radius else 0
+    try:
+        slow = roots_within(point, radius) if radius else 0
+    except NotConverged:
+        if not unstable:
+            raise
+        slow = int(known.slow[index].sum())  # the verdict is settled; how many are slow is known without dead time only
     slow_roots, motion = slow_part(point, radius, slow) if slow else (np.zeros(0, np.complex128), np.zeros((nx, nx)))
     return DelayedVerdict(slow, not unstable, bool(not system.dt or slow < nx - system.registers), slow_roots, motion, walk)
 

@@ -120,3 +120,17 @@ def test_a_singular_gain_with_a_long_dead_time_has_a_verdict():
     law = mfc.laws.ComputedTorque(0, [[4.037612088991638, 0.7342502514934814]] * 2, 6e-8)
     loop = mfc.ClosedLoop(mfc.robots.planar_2r(), law, mfc.trajectories.Hold([0.1, 0.2]), hardware=mfc.Hardware(delay=917.4581504594084))
     assert not loop.linearize([0.0]).stable[0]
+
+
+def test_an_unstable_loop_is_unstable_also_where_its_slow_roots_cannot_be_counted(monkeypatch):
+    from mfc_analysis.analysis.delay import verdict as module
+    from mfc_analysis.errors import NotConverged
+
+    def unsettled(*_):
+        raise NotConverged("the number of unstable roots", "a root lies on the circle")
+
+    late, prompt = open_system(3 / s / (1e-3 * s + 1), delay=0.6), open_system(3 / s / (1e-3 * s + 1), delay=0.1)
+    monkeypatch.setattr(module, "roots_within", unsettled)
+    assert not verdict(late).decays
+    with pytest.raises(NotConverged, match="circle"):
+        verdict(prompt)
