@@ -26,6 +26,7 @@ Contour = Callable[[Array], tuple[Complex, Complex, Complex]]  # parameter -> z,
 
 
 def circle(theta: Array) -> tuple[Complex, Complex, Complex]:
+    """The unit circle at angles theta (k,) [rad]: z, ln z and its slope."""
     return np.asarray(np.exp(1j * theta), np.complex128), on_axis(theta), np.full(theta.size, 1j, np.complex128)
 
 
@@ -159,6 +160,7 @@ def jumped(loop: Shifted, theta: Array, radius: float, best: tuple[Array, Array]
 
 
 def least(best: tuple[Array, Array], point: Ints, channel: Ints, angle: Array, T: Array) -> None:
+    """Puts dead times T (k,) [samples] and their angles into ``best`` (m, n) where they are smaller than what is there."""
     order = np.argsort(-T, kind="stable")  # of several for one entry the smallest is written last
     point, channel, angle, T = point[order], channel[order], angle[order], T[order]
     better = best[0][point, channel] > T
