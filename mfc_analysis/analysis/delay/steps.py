@@ -18,7 +18,7 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths.arrays import Array
 
 FINEST = 60  #: steps in the shortest dead time
-MOST_STEPS = 500_000
+MOST_STEPS = 1_000_000
 #: cubic on 0..1 from y, h y' at its start and at its end
 CUBIC = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-3, -2, 3, -1], [2, 1, -2, 1]])
 
