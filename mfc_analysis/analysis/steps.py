@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.delay.roots import delay_roots
-from mfc_analysis.analysis.delay.steps import delayed_runner, longest_step
+from mfc_analysis.analysis.delay.steps import delayed_runner, longest_run, longest_step
 from mfc_analysis.analysis.modal_response import ModalPieces, terms
 from mfc_analysis.analysis.modes import Mode, modes
 from mfc_analysis.analysis.slow import MOVES
@@ -336,7 +336,8 @@ class Point:
         roots = delay_roots(system, ROOTS)[0]
         decay = -roots.real[np.isfinite(roots.real) & (np.abs(roots) >= system.radius)]
         longest = min(max([DIED / x for x in decay if x > 0], default=0.0), AFFORDED * longest_step(system))
-        longest = max(longest, 10 * float(system.wire_delay.max()))
+        most = longest_run(system)
+        longest = min(max(longest, 10 * float(system.wire_delay.max())), most)
         found = {name: np.zeros(steady.size) for name in (*METRICS, "longest")}
         rows = np.unique(out)
         for group in input_groups(between(system, range(system.nu), rows)):
@@ -350,7 +351,7 @@ class Point:
                 for name, values in new.items():
                     found[name][left[settled]] = values[settled]
                 found["longest"][left] = duration
-                left, duration = left[~settled], 2 * duration
+                left, duration = left[~settled], min(2 * duration, most) if duration < most else 2 * duration
         return found
 
     def samples(
@@ -361,6 +362,7 @@ class Point:
         if duration is None:
             turned = peak_time if overshoot > 0 else 0.0
             duration = float(max(2 * settling, 1.2 * turned) or longest) if outcome is Outcome.SETTLES else self._unsettled()
+            duration = min(duration, longest_run(system)) if system.delayed else duration
         if system.delayed:
             t, values = delayed_runner(system)(duration, self._count(duration)).samples
             return t, values[0]

@@ -338,3 +338,14 @@ def test_many_points_keep_their_metrics_in_little_memory():
     tracemalloc.stop()
     assert settling.shape == (100, one.ny, one.nu) and most < 10e6
     assert_allclose(settling, np.broadcast_to(settling[:1], settling.shape), rtol=1e-12)
+
+
+def test_a_response_with_dead_time_is_shown_as_far_as_its_steps_go(monkeypatch):
+    from mfc_analysis.analysis.delay import steps as module
+
+    system = open_system(100 / (control.tf("s") ** 2 + 2 * control.tf("s")), delay=1e-3)
+    whole = step(system, 0, "d", "y")
+    monkeypatch.setattr(module, "MOST_STEPS", int(1.5 * whole.settling / 1e-3))
+    short = step(system, 0, "d", "y")
+    assert short.settling == pytest.approx(whole.settling, rel=1e-9)
+    assert whole.settling < short.t[-1] < whole.t[-1]

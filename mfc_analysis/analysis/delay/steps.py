@@ -41,13 +41,20 @@ def delayed_runner(system: OpenSystem) -> Callable[[float, int], Piece]:
         h = T.min() / np.ceil(T.min() / wanted * (1 - 1e-12))
         steps = int(np.ceil(duration / h * (1 - 1e-12)))
         if steps > MOST_STEPS:
-            raise BadArgument("duration", duration, f"at most {MOST_STEPS * h:.4g} s: the dead time of {T.min():.4g} s needs steps of {h:.3g} s")
+            takes = f"at most {MOST_STEPS * h:.4g} s: the dead time of {T.min():.4g} s needs steps of {h:.3g} s"
+            raise BadArgument("duration", float(duration), takes)
         table = _one_step(A, B[:, columns], C[rows], D[np.ix_(rows, columns)], h, nu)
         y = _marched(table, len(A), T, h, steps, nu)
         y[1::2] *= h
         return Piece(h * np.arange(steps + 1), y, CUBIC)
 
     return run
+
+
+def longest_run(system: OpenSystem) -> float:
+    """[s] that takes ``MOST_STEPS`` of the longest steps, of a system with one point."""
+    T = float(system.wire_delay[system.wire_delay > 0].min())
+    return float(MOST_STEPS * T / np.ceil(T / longest_step(system) * (1 - 1e-12)) * (1 - 1e-9))
 
 
 def longest_step(system: OpenSystem) -> float:
