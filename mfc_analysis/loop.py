@@ -160,7 +160,7 @@ class ClosedLoop:
     def linearize(
         self,
         times: ArrayLike = (0.0,),
-        about: About = "reference",
+        about: About | ArrayLike = "reference",
         coordinates: Coordinates | None = None,
         simulation: Simulation | None = None,
         horizon: float = HORIZON,
@@ -169,7 +169,8 @@ class ClosedLoop:
 
         Args:
             times: (m,) strictly increasing.
-            about: "reference" (integral trimmed), "equilibrium" (near a Hold) or "simulation" (along ``simulation``).
+            about: "reference" (integral trimmed), "equilibrium" (near a Hold), "simulation" (along ``simulation``), or states of your
+                own (m, nx) in the order of ``state_names`` of coordinates "state", one row for each time.
             coordinates: "state" (q, v, z, ...) or "error" (X_e, V_e, z, ...); None: "error" for tool laws where J is square and
                 well conditioned, else "state".
             horizon: [s] of the verdict: roots with |s| < 1/horizon are slow and judged by what they do within it; inf: by their sign.

@@ -20,7 +20,7 @@ from mfc_analysis.dynamics.operating_point import CHUNK, OperatingPoint, chunks,
 from mfc_analysis.errors import UnknownPoint, Unsupported
 from mfc_analysis.linearization.chunks import checked_jobs, each, joined
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
-from mfc_analysis.linearization.start import About, chosen_coordinates, operating_points
+from mfc_analysis.linearization.start import chosen_coordinates, operating_points, start_at
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 from mfc_analysis.simulation.simulation import Simulation
@@ -46,13 +46,13 @@ class Linearization:
     equations: Equations
     point: OperatingPoint
     coordinates: Coordinates
-    about: About
+    about: str | Array  #: "reference", "equilibrium", "simulation", or states of one's own (m, nx) at these times
     run: Simulation | None = None  #: the run that ``about="simulation"`` follows
     horizon: float = HORIZON  #: [s] of the verdict: roots with |s| < 1/horizon are slow
 
     def again(self, times: Array) -> Linearization:
-        """The same loop, operating points and coordinates at other times (m,) [s]."""
-        return linearize(self.equations, times, self.about, self.coordinates, self.run, self.horizon)
+        """The same loop, operating points and coordinates at other times (m,) [s]. Raises Unsupported where no state of one's own is known."""
+        return linearize(self.equations, times, start_at(self.about, self.times, times), self.coordinates, self.run, self.horizon)
 
     # --- matrices ------------------------------------------------------------------------------------------------
 
@@ -385,7 +385,7 @@ class Linearization:
 def linearize(
     equations: Equations,
     times: Array,
-    about: About = "reference",
+    about: str | ArrayLike = "reference",
     coordinates: Coordinates | None = None,
     run: Simulation | None = None,
     horizon: float = HORIZON,
@@ -396,4 +396,5 @@ def linearize(
     """
     horizon = checked_horizon(horizon, equations.sample_time)
     point = operating_points(equations, times, about, run)
-    return Linearization(equations, point, chosen_coordinates(equations, coordinates, point), about, run, horizon)
+    asked = about if isinstance(about, str) else point.x
+    return Linearization(equations, point, chosen_coordinates(equations, coordinates, point), asked, run, horizon)

@@ -6,6 +6,7 @@ import warnings
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import Coordinates
@@ -17,11 +18,15 @@ from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION, ne
 from mfc_analysis.simulation.simulation import Simulation
 
 About = Literal["reference", "equilibrium", "simulation"]
+NAMES: tuple[About, ...] = ("reference", "equilibrium", "simulation")
 
 
-def operating_points(equations: Equations, times: Array, about: About, run: Simulation | None) -> OperatingPoint:
-    """Those at times (m,) [s]. Raises BadArgument, NotConverged."""
-    checks.choice("about", about, ("reference", "equilibrium", "simulation"))
+def operating_points(equations: Equations, times: Array, about: str | ArrayLike, run: Simulation | None) -> OperatingPoint:
+    """Those at times (m,) [s]: by name, or states of one's own (m, nx). Raises BadArgument, NotConverged."""
+    if not isinstance(about, str):
+        states = f"{', '.join(map(repr, NAMES))}, or finite states of shape ({len(times)}, {len(equations.state_names)}), one row for each time"
+        return OperatingPoint(times, checks.array("about", about, (len(times), len(equations.state_names)), states), None)
+    checks.choice("about", about, NAMES)
     if about == "reference":
         return on_reference(equations, times)
     if about == "equilibrium":
@@ -31,6 +36,16 @@ def operating_points(equations: Equations, times: Array, about: About, run: Simu
     if run is None or getattr(run, "state_names", None) != equations.state_names:
         raise BadArgument("simulation", run, 'a Simulation of this loop to linearise along, with about="simulation"')
     return run.operating_point(times)
+
+
+def start_at(about: str | Array, known: Array, times: Array) -> str | Array:
+    """``about`` for other times: of states of one's own, known at times (m,), the rows of those asked for. Raises Unsupported between them."""
+    if isinstance(about, str):
+        return about
+    rows = np.searchsorted(known, times).clip(max=len(known) - 1)
+    if np.any(known[rows] != times):
+        raise Unsupported("times", times, "times for which about= gave a state: nothing is known between them")
+    return np.asarray(about[rows], float)
 
 
 def _singular_values(equations: Equations, point: OperatingPoint) -> Array:

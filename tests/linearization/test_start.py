@@ -37,6 +37,35 @@ def test_points_on_the_reference_at_rest_and_along_a_run() -> None:
         operating_points(e, times, "somewhere", None)  # type: ignore[arg-type]
 
 
+def test_states_of_ones_own() -> None:
+    """9.10 with a wrong model, off its reference: A by a ladder of central differences of the loop's own rates, the residual by hand."""
+    robot = mfc.robots.planar_2r()
+    law = mfc.laws.ComputedTorque(kp=100, ki=40, kd=20)
+    loop = mfc.ClosedLoop(robot.with_payload(1.0), law, mfc.trajectories.Hold([0.5, -0.5]), controller_model=robot)
+    rng = np.random.default_rng(3)
+    times, x = np.array([0.0, 1.0, 2.5]), np.array([0.5, -0.5, 0, 0, 0, 0]) + 0.3 * rng.normal(size=(3, 6))
+    lin = loop.linearize(times, about=x)
+    rates = loop.equations.rates
+    for k in range(3):
+        found = []
+        for h in (1e-3, 5e-4):
+            steps = h * np.eye(6)
+            found.append((rates(np.full(6, times[k]), x[k] + steps) - rates(np.full(6, times[k]), x[k] - steps)).T / (2 * h))
+        assert_allclose(lin.A[k], (4 * found[1] - found[0]) / 3, rtol=1e-8, atol=1e-8)
+    assert_allclose(lin.residual, rates(times, x)[:, 2:4], atol=1e-12)
+    assert_allclose(lin.again(times[1:]).A, lin.A[1:], rtol=0, atol=0)
+    run = loop.simulate(np.linspace(0, 1, 11), initial_error=0.1)
+    assert_allclose(loop.linearize(run.t, about=run.x).A, loop.linearize(run.t, about="simulation", simulation=run).A, rtol=1e-10)
+    with pytest.raises(BadArgument, match=r"about.*shape \(3, 6\)"):
+        loop.linearize(times, about=x[:2])
+    with pytest.raises(BadArgument, match="about"):
+        loop.linearize(times, about=np.full((3, 6), np.nan))
+    with pytest.raises(Unsupported, match="nothing is known between"):
+        lin.again(np.array([0.5]))
+    with pytest.raises(Unsupported, match="nothing is known between"):
+        lin.transient_growth()
+
+
 def test_a_tool_law_has_its_error_as_coordinates_where_the_jacobian_is_regular() -> None:
     regular, near = tool_loop(-1.0), tool_loop(-1.5e-4)
     times = np.linspace(0, 1, 5)
