@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mfc_analysis.analysis.channels import channels
+from mfc_analysis.analysis.channels import channels, has_rate, point_wires
 from mfc_analysis.analysis.frequency.response import frequency_response
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import UnknownName
@@ -29,13 +29,22 @@ def loop_model(system: OpenSystem, at: str, channel: int | str | None) -> Any:
     """L(s) opened at ``at`` in one channel (default: the first), the others closed, as a ``control.StateSpace``. Raises UnknownName."""
     import control
 
-    found = channels(system, at)
-    names = tuple(found.names)
+    wires = point_wires(system, at)
+    names = system.wire_names[wires]
     j = _number(channel, names)
-    A, b, c = found.A[0], found.B[0][:, j], found.C[0][j]
-    through = 1.0 + float(found.H0[0, j])  # S = through + c (sI - A)^-1 b, and L = 1/S - 1
+    cut = np.arange(system.nw) == wires.start + j
+    rate = system.wires["rate"].start + j if has_rate(system, at) else None
+    if rate is not None:
+        cut[rate] = True
+    A, B, C, D = (M[0] for M in close_wires(system, cut))
+    kept = np.flatnonzero(cut)
+    k = int(np.searchsorted(kept, wires.start + j))
+    b, c, d = B[:, system.nu + k], C[system.ny + k], D[system.ny + k, system.nu + k]
+    if rate is not None:  # it carries s r, and s (sI - A)^-1 b = b + (sI - A)^-1 A b
+        into = B[:, system.nu + int(np.searchsorted(kept, rate))]
+        b, d = b + A @ into, d + c @ into
     return control.ss(
-        A - np.outer(b, c) / through, b[:, None] / through, -c[None, :] / through, [[1 / through - 1]], system.dt,
+        A, b[:, None], -c[None, :], [[-d]], system.dt,
         inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"], name=_named(f"L_{at}_{names[j]}", system),
     )  # fmt: skip
 

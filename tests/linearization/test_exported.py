@@ -65,3 +65,15 @@ def test_frequency_response_data_is_that_of_the_loop_with_dead_time() -> None:
     assert_allclose(found.delay[0, 0], margins.delay[1, 2], rtol=1e-4)
     with pytest.raises(BadArgument, match="frequencies"):
         lin.frd([-1.0])
+
+
+@pytest.mark.parametrize("kd", [20.0, 1e6, 1e12])
+@pytest.mark.parametrize("at", ["torque", "position"])
+def test_the_loop_of_one_mass_is_that_of_the_page_for_any_gain(at: str, kd: float) -> None:
+    """L = (kp + kd s) / (m s^2 + b s): the feedback of the gain itself is not taken out of the closed loop again."""
+    arm = mfc.robots.slider(mass=2.0, friction=0.5)
+    lin = mfc.ClosedLoop(arm, mfc.laws.JointPID(kp=160.0, kd=kd), mfc.trajectories.Hold([0.1])).linearize()
+    s = 1j * np.geomspace(1e-2, 1e4, 13)
+    L = (160 + kd * s) / (2 * s**2 + 0.5 * s)
+    assert_allclose(lin.loop(at=at)(s), L, rtol=1e-12)
+    assert_allclose(lin.frequency_response(s.imag, at)[0, 0], L, rtol=1e-12)
