@@ -184,11 +184,15 @@ class ClosedLoop:
         """The default analysis point: the plant input."""
         return self.law.plant
 
-    def floquet(self, period: float | None = None) -> Floquet:
-        """Floquet multipliers on the periodic orbit of the nonlinear closed loop. Raises BadArgument without a period, NotConverged."""
+    def floquet(self, period: float | None = None, max_evaluations: int | None = None) -> Floquet:
+        """Floquet multipliers on the periodic orbit of the nonlinear closed loop, of the reference's period [s] unless one is given.
+
+        ``max_evaluations`` of the equations over all runs of the search; None: about 10 s of work. Raises BadArgument without a period,
+        Unsupported (dead time without a sample time), NotConverged (no orbit found, or not with this much work).
+        """
         from mfc_analysis.simulation.orbit import floquet
 
-        return floquet(self.equations, period)
+        return floquet(self.equations, period, max_evaluations)
 
     # --- nonlinear -----------------------------------------------------------------------------------------------
 

@@ -180,7 +180,7 @@ def _ones(Phi: Array, tolerance: float) -> tuple[int, int]:
     return single, max(single, int(np.sum(np.linalg.svd(N @ N, compute_uv=False) <= tolerance * scale**2)))
 
 
-def shoot(advance: PeriodMap, x0: Array, tolerance: float = 1e-10, iterations: int = 25) -> Orbit:
+def shoot(advance: PeriodMap, x0: Array, tolerance: float = 1e-10, iterations: int = 60) -> Orbit:
     """The periodic orbit near ``x0`` by Newton's method: x <- x + (I - Phi)^-1 (x(T) - x), halved while the residual grows.
 
     ``advance(x)`` returns x(T) and Phi = dx(T)/dx, (nx,) and (nx, nx). Only the difference x(T) - x counts, so ``advance`` must unwrap

@@ -64,9 +64,8 @@ class Linearization:
     @cached_property
     def residual(self) -> Array:
         """(m, n) residual acceleration [rad/s^2] (velocity plants: velocity [rad/s]) at the operating points; 0 at an equilibrium."""
-        if self.point.residual is not None:
-            return self.point.residual
-        return residual(self.equations, self.times, self.point.x, nominal(self.equations, self.times))
+        known = self.point.residual
+        return residual(self.equations, self.times, self.point.x, nominal(self.equations, self.times)) if known is None else known
 
     @property
     def dt(self) -> float:
@@ -132,9 +131,7 @@ class Linearization:
 
     def opened_for(self, *at: str | None) -> OpenSystem:
         """``opened``; for the encoder, in state coordinates, in which the rate wire is the derivative of the position wire."""
-        if "position" in at and self.coordinates == "error" and not self.dt:
-            return self._opened_in_state
-        return self.opened
+        return self._opened_in_state if "position" in at and self.coordinates == "error" and not self.dt else self.opened
 
     @cached_property
     def _opened_in_state(self) -> OpenSystem:
@@ -184,9 +181,12 @@ class Linearization:
         if self._many:
             verdicts: list[Stability] = each(attrgetter("stability"), self._parts(), None)
             return joined(verdicts)
-        if self._samples_in_transit > MANY_SAMPLES:
-            return stability(self._sampled(on_wires=True))
-        return stability(self.opened if self._late else self.reduced)
+        return stability(self.judged if self._late or self._samples_in_transit > MANY_SAMPLES else self.reduced)
+
+    @cached_property
+    def judged(self) -> OpenSystem:
+        """``opened``; where many samples are in transit, with z^-d on the wires in place of a state for each."""
+        return self._sampled(on_wires=True) if self._samples_in_transit > MANY_SAMPLES else self.opened
 
     @property
     def stable(self) -> Bools:

@@ -154,7 +154,7 @@ class Evidence:
     @cached_property
     def rightmost(self) -> Root:
         """The rightmost root that is not slow, dead time included, with its time and the joints or tool axes that take part in it."""
-        return rightmost(self.linearization.opened, self.roots)
+        return rightmost(self.linearization.judged, self.roots)
 
     @property
     def unstable(self) -> str:
@@ -236,7 +236,7 @@ def _damping(e: Evidence) -> Found:
     if slow.all():
         return e._unstable()
     note = f"of the {roots.shape[1]} rightmost roots" if e.linearization.delay or e.linearization.force_delay else f"{size[i, k]:.4g} rad/s"
-    return Found(float(ratio[i, k]), located(e.linearization.opened, int(i), complex(roots[i, k])).where, float(e.times[i]), note)
+    return Found(float(ratio[i, k]), located(e.linearization.judged, int(i), complex(roots[i, k])).where, float(e.times[i]), note)
 
 
 def _settling(e: Evidence) -> Found:

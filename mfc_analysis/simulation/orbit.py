@@ -15,11 +15,17 @@ from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.errors import BadArgument, NotConverged, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.simulation.run import Outcome, most_evaluations
 from mfc_analysis.simulation.simulation import Simulation, simulate
 
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
+SETTLE = 20  #: periods of the run from whose end a second search starts
 
 __all__ = ["Floquet", "floquet", "transitions_along"]
+
+
+class NotEnoughWork(NotConverged):
+    """The limit on work ended the search."""
 
 
 def transitions_along(e: Equations, run: Simulation, edges: Array) -> Array:
@@ -30,10 +36,11 @@ def transitions_along(e: Equations, run: Simulation, edges: Array) -> Array:
     return transition_magnus(A.reshape(*nodes.shape, *A.shape[1:]), np.diff(edges))
 
 
-def floquet(e: Equations, period: float | None = None) -> Floquet:
+def floquet(e: Equations, period: float | None = None, max_evaluations: int | None = None) -> Floquet:
     """Floquet multipliers on the periodic orbit of the closed loop: Newton shooting, Phi by fourth-order Magnus steps.
 
-    With a sample time the period must be a whole number of samples, and Phi is the product of the discrete steps.
+    With a sample time the period must be a whole number of samples, and Phi is the product of the discrete steps. ``max_evaluations``
+    of the equations over all runs of the search; None: about 10 s of work.
     Raises BadArgument (no period), Unsupported (dead time without a sample time), NotConverged (no orbit found).
     """
     T = e.reference_source.period if period is None else checks.number("period", period, low=0.0, strict=True)
@@ -45,15 +52,30 @@ def floquet(e: Equations, period: float | None = None) -> Floquet:
         takes = "a sample_time with it: the period map of a continuous loop with dead time has infinite dimension"
         raise Unsupported("hardware.delay", max(e.delays.values()), takes)
     edges = np.linspace(0.0, float(T), STEPS + 1)
+    most = most_evaluations(e) if max_evaluations is None else checks.whole("max_evaluations", max_evaluations, 1, 10**12)
+    runs: list[Simulation] = []
+
+    def run(x: Array, end: float) -> Simulation:
+        left = most - sum(earlier.evaluations for earlier in runs)
+        runs.append(simulate(e, [0.0, end], x, method="LSODA", max_evaluations=max(1, left), **TIGHT))
+        if runs[-1].outcome is Outcome.STOPPED:
+            used = f"{most} evaluations of the equations are not enough, used up in run {len(runs)} of the search over a period of {T:g} s"
+            raise NotEnoughWork(f"no periodic orbit found: {used}; max_evaluations= allows more")
+        if runs[-1].diverged:
+            raise NotConverged(f"no periodic orbit found: {runs[-1].message}")
+        return runs[-1]
 
     def advance(x: Array) -> tuple[Array, Array]:
-        run = simulate(e, [0.0, float(T)], x, method="LSODA", **TIGHT)
-        if run.diverged:
-            raise NotConverged(f"no periodic orbit found: {run.message}")
-        return run.x[-1], period_map(transitions_along(e, run, edges))
+        once = run(x, float(T))
+        return once.x[-1], period_map(transitions_along(e, once, edges))
 
     start = on_reference(e, np.zeros(1)).x[0]
-    orbit = shoot(advance, start, tolerance=1e-9)
+    try:
+        orbit = shoot(advance, start, tolerance=1e-9)
+    except NotEnoughWork:
+        raise
+    except NotConverged:  # too far from the reference; a stable orbit draws the loop towards it
+        orbit = shoot(advance, run(start, SETTLE * float(T)).x[-1], tolerance=1e-9)
     return multipliers_of(orbit.Phi, float(T), orbit=orbit)
 
 

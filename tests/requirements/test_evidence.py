@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
+from mfc_analysis.analysis.participation import rightmost
 from mfc_analysis.errors import BadArgument, NotConverged, UnknownName
 from mfc_analysis.requirements.evidence import Evidence
 from mfc_analysis.requirements.requirements import Requirements
@@ -96,6 +98,20 @@ def test_the_slowest_root_names_its_joint():
     loop = mfc.ClosedLoop(robot, mfc.laws.VelocityP(gains), hold(6))
     found = Evidence(loop.equations, [0.0]).slowest_root()
     assert found.value == pytest.approx(-1.0, rel=1e-12) and found.where == robot.joint_names[3]
+
+
+def test_the_root_of_a_loop_with_many_samples_in_transit_is_named_from_its_wires():
+    """70 and 200 samples of one dead time on the way: the same boundary, joint and root as with a state for each sample."""
+    law, path = mfc.laws.JointPID(kp=40, kd=6), mfc.trajectories.Hold([0.3, 0.4])
+    for samples in (70, 200):
+        hardware = mfc.Hardware(delay=0.14, sample_time=0.14 / samples)
+        e = Evidence(mfc.ClosedLoop(mfc.robots.planar_2r(), law, path, hardware=hardware).equations, np.zeros(1))
+        lin = e.linearization
+        assert not e.judged[0] and lin.judged.nx < 10 < 2 * samples < lin.opened.nx
+        z = lin.poles()[0]
+        full = rightmost(lin.opened, e.roots)
+        assert_allclose(e.rightmost.value.real, np.log(np.abs(z)).max() / lin.dt, rtol=1e-6)
+        assert str(e.rightmost) == str(full) and "joint" in str(full)
 
 
 def test_a_steady_state_without_digits_is_an_error_in_words():

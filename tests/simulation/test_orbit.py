@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 import mfc_analysis as mfc
 from mfc_analysis.analysis.floquet import FloquetVerdict
-from mfc_analysis.errors import BadArgument, Unsupported
+from mfc_analysis.errors import BadArgument, NotConverged, Unsupported
 
 Q = np.array([0.0, -1.2, 1.5, -0.8, 1.57, 0.3])
 UR5 = mfc.robots.ur5()
@@ -75,6 +75,34 @@ def test_a_sampled_loop_has_the_powers_of_its_discrete_model():
     assert_allclose(loop.floquet(period=0.2).multipliers, [(1 - 3 * 0.02) ** 10], rtol=1e-12)
     with pytest.raises(Unsupported, match="whole number of samples"):
         loop.floquet(period=0.21)
+
+
+def soft() -> mfc.ClosedLoop:
+    """An arm of 370 kg m^2 that sags by a radian: Newton's method does not find its orbit from the reference."""
+    return mfc.ClosedLoop(mfc.robots.planar_2r(), mfc.laws.JointPID(kp=600, kd=80), mfc.trajectories.Sinusoid([0.3, 0.4], 0.2, 2.0))
+
+
+def test_an_orbit_far_from_the_reference_is_found_from_a_run():
+    """Where the loop's own simulation ends after 100 periods; the multipliers from differences of the period map there."""
+    loop = soft()
+    found = loop.floquet()
+
+    def once(x: np.ndarray, periods: int = 1) -> np.ndarray:
+        return loop.simulate([0.0, periods * found.period], x=x, rtol=1e-11, atol=1e-13).x[-1]
+
+    assert_allclose(found.orbit, once(loop.linearize().point.x[0], 100), atol=1e-7)
+    assert np.abs(found.orbit[:2] - [0.3, 0.4]).max() > 1
+    h = 1e-4
+    columns = [(once(found.orbit + h * d) - once(found.orbit - h * d)) / (2 * h) for d in np.eye(4)]
+    assert_allclose(np.sort(np.abs(found.multipliers)), np.sort(np.abs(np.linalg.eigvals(np.transpose(columns)))), rtol=1e-5)
+
+
+def test_the_work_of_the_search_is_limited_over_all_its_runs():
+    loop = soft()
+    with pytest.raises(NotConverged, match=r"2000 evaluations .* not enough, used up in run \d+ .* over a period of 3.14159 s; max_evaluations="):
+        loop.floquet(max_evaluations=2000)
+    with pytest.raises(BadArgument, match="max_evaluations"):
+        loop.floquet(max_evaluations=0)
 
 
 def test_no_period_and_dead_time_are_refused_by_name():
