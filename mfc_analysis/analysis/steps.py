@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.delay.roots import delay_roots
-from mfc_analysis.analysis.delay.steps import delayed_runner, longest_run, longest_step
+from mfc_analysis.analysis.delay.steps import delayed_runner, longest_run, longest_step, never_settled
 from mfc_analysis.analysis.modal_response import ModalPieces, terms
 from mfc_analysis.analysis.modes import Mode, modes
 from mfc_analysis.analysis.slow import MOVES
@@ -204,7 +204,7 @@ def step(system: OpenSystem, index: int, input: str | int, output: str | int, du
 
     ``input``, ``output``: names or numbers. ``times`` (k,) [s] of the samples returned, or their ``duration`` [s]; omitted: about twice the
     settling time. The metrics do not depend on it: they are those of the sum of all modes, or, with dead time, of a run to where the slowest
-    root has died away. Raises ``UnknownName`` and ``BadArgument``.
+    root has died away. Raises ``UnknownName``, ``BadArgument``, and ``NotConverged`` where that takes too many steps.
     """
     i = _index(system, index)
     into, out = _number("input", input, system.input_names), _number("output", output, system.output_names)
@@ -351,7 +351,10 @@ class Point:
                 for name, values in new.items():
                     found[name][left[settled]] = values[settled]
                 found["longest"][left] = duration
-                left, duration = left[~settled], min(2 * duration, most) if duration < most else 2 * duration
+                left = left[~settled]
+                if left.size and duration >= most:
+                    raise never_settled(system, into[left[0]], out[left[0]], float(min(decay, default=0.0)))
+                duration = min(2 * duration, most)
         return found
 
     def samples(

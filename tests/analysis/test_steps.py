@@ -16,7 +16,7 @@ import mfc_analysis as mfc
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.steps import Outcome, pair_metrics, step, steps
 from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.errors import BadArgument, NotConverged, UnknownName
 from tests.analysis.conftest import open_system, random_loops
 from tests.soak.steps import drawn, wrong
 from tests.test_arms import loops
@@ -349,3 +349,9 @@ def test_a_response_with_dead_time_is_shown_as_far_as_its_steps_go(monkeypatch):
     short = step(system, 0, "d", "y")
     assert short.settling == pytest.approx(whole.settling, rel=1e-9)
     assert whole.settling < short.t[-1] < whole.t[-1]
+    monkeypatch.setattr(module, "MOST_STEPS", int(0.5 * whole.settling / 1e-3))
+    says = (
+        r"step d -> y: not settled after .* s, as far as \d+ steps go with a dead time of 0.001 s; the slowest root has a time constant of 1.053 s"
+    )
+    with pytest.raises(NotConverged, match=says):
+        step(system, 0, "d", "y")

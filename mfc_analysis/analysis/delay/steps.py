@@ -14,7 +14,7 @@ import numpy as np
 
 from mfc_analysis.analysis.step_run import Piece
 from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.errors import BadArgument
+from mfc_analysis.errors import BadArgument, NotConverged
 from mfc_analysis.maths.arrays import Array
 
 FINEST = 60  #: steps in the shortest dead time
@@ -55,6 +55,16 @@ def longest_run(system: OpenSystem) -> float:
     """[s] that takes ``MOST_STEPS`` of the longest steps, of a system with one point."""
     T = float(system.wire_delay[system.wire_delay > 0].min())
     return float(MOST_STEPS * T / np.ceil(T / longest_step(system) * (1 - 1e-12)) * (1 - 1e-9))
+
+
+def never_settled(system: OpenSystem, into: int, out: int, rate: float) -> NotConverged:
+    """The error of a response that has not settled when ``MOST_STEPS`` are used up; ``rate`` [1/s] of its slowest root that decays."""
+    shortest = float(system.wire_delay[system.wire_delay > 0].min())
+    slowest = f"; the slowest root has a time constant of {1 / rate:.4g} s" if rate > 0 else ""
+    return NotConverged(
+        f"step {system.input_names[into]} -> {system.output_names[out]}: not settled after {longest_run(system):.4g} s, as far as "
+        f"{MOST_STEPS} steps go with a dead time of {shortest:.4g} s{slowest}"
+    )
 
 
 def longest_step(system: OpenSystem) -> float:
