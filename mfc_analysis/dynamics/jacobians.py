@@ -18,7 +18,7 @@ from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, Wires, refe
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.dual import Dual, Vector, concatenate, value
+from mfc_analysis.maths.dual import Dual, Seed, Vector, concatenate, value
 from mfc_analysis.maths.se3 import bracket, log_rate
 
 Coordinates = Literal["state", "error"]
@@ -32,13 +32,6 @@ class _Change(NamedTuple):
     replaced: int  #: number of leading states of x that they replace
 
 
-def _seed(at: Array, start: int, width: int) -> Dual:
-    tangent = np.zeros((*at.shape, width))
-    k = at.shape[-1]
-    tangent[..., np.arange(k), start + np.arange(k)] = 1.0
-    return Dual(at, tangent)
-
-
 def _tangent(x: Vector, shape: tuple[int, int], width: int) -> Array:
     """Tangent (m, k, width) of a dual, zeros of a plain array."""
     return x.tangent if isinstance(x, Dual) else np.zeros((*shape, width))
@@ -49,7 +42,7 @@ def closed_matrix(equations: Equations, times: Array, x: Array, coordinates: Coo
     if equations.law.needs_acceleration:
         return close_wires(open_system(equations, times, x, coordinates))[0]
     nx = equations.nx
-    seeded = _seed(x, 0, nx)
+    seeded = Seed(x, 0, nx)
     flow = equations.flow(times, seeded, lose_contact=lose_contact)
     rates = equations.join(flow.rates)
     A = _finite(_tangent(rates, x.shape, nx))
@@ -75,7 +68,7 @@ def closed_system(equations: Equations, times: Array, x: Array, coordinates: Coo
     names = external(equations)
     nx = equations.nx
     width = nx + len(names.inputs)
-    wires, seeded = Wires(), _seed(x, 0, width)
+    wires, seeded = Wires(), Seed(x, 0, width)
     flow = equations.flow(times, seeded, wires, _inputs(equations, len(times), width))
     outputs = _outputs(equations, seeded, flow, wires)
     C = _tangent(outputs, (len(times), len(names.outputs)), width)
@@ -117,9 +110,9 @@ def _inputs(equations: Equations, m: int, width: int) -> Inputs:
     n, nx, references = equations.n, equations.nx, len(reference_channels(equations))
     F_d = equations.law.desired_wrench
     return Inputs(
-        _seed(np.zeros((m, references)), nx, width),
-        _seed(np.zeros((m, n)), nx + references, width),
-        None if F_d is None else _seed(np.broadcast_to(F_d, (m, 6)), nx + references + n, width),
+        Seed(np.zeros((m, references)), nx, width),
+        Seed(np.zeros((m, n)), nx + references, width),
+        None if F_d is None else Seed(np.broadcast_to(F_d, (m, 6)), nx + references + n, width),
     )
 
 
@@ -143,11 +136,11 @@ def open_system(
     for name, size in sizes.items():
         signal = held.command if name == equations.actuator else held_wires.recorded[name]
         signal = (arriving or {}).get(name, signal)
-        cut[name] = _seed(np.broadcast_to(value(signal), (m, size)), nx + nu + start, width)
+        cut[name] = Seed(np.broadcast_to(value(signal), (m, size)), nx + nu + start, width)
         wires_at[name] = slice(start, start + size)
         start += size
     wires = Wires(cut)
-    seeded = _seed(x, 0, width)
+    seeded = Seed(x, 0, width)
     flow = equations.flow(times, seeded, wires, _inputs(equations, m, width))
     rows = [_tangent(_outputs(equations, seeded, flow, wires), (m, len(names.outputs)), width)]
     rows += [_tangent(wires.recorded[name], (m, size), width) for name, size in sizes.items()]

@@ -55,6 +55,25 @@ class Dual:
         return Dual(self.value[..., part], self.tangent[..., part, :])
 
 
+class Seed(Dual):
+    """Independent variables: component i is the direction ``start`` + i of ``width``. ``chain`` multiplies nothing by their tangent."""
+
+    __slots__ = ("start",)
+
+    def __init__(self, value: Array, start: int, width: int, tangent: Array | None = None) -> None:
+        if tangent is None:
+            tangent = np.zeros((*value.shape, width))
+            k = np.arange(value.shape[-1])
+            tangent[..., k, start + k] = 1.0
+        super().__init__(value, tangent)
+        self.start = start
+
+    def __getitem__(self, part: slice) -> Seed:
+        """Contiguous components are independent variables too."""
+        first, _, _ = part.indices(self.value.shape[-1])
+        return Seed(self.value[..., part], self.start + first, self.tangent.shape[-1], self.tangent[..., part, :])
+
+
 Vector: TypeAlias = Array | float | Dual
 
 
@@ -68,11 +87,16 @@ def chain(out: Array, *partials: tuple[Callable[[], Array], Vector]) -> Array | 
 
     Each partial is a function without arguments, so that it is not computed where its argument is plain.
     """
-    tangent = None
+    tangent: Array | None = None
+    seeds = [(partial, argument) for partial, argument in partials if isinstance(argument, Seed)]
     for partial, argument in partials:
-        if isinstance(argument, Dual):
+        if isinstance(argument, Dual) and not isinstance(argument, Seed):
             part = partial() @ argument.tangent
             tangent = part if tangent is None else tangent + part
+    for partial, seed in seeds:
+        if tangent is None:
+            tangent = np.zeros((*out.shape, seed.tangent.shape[-1]))
+        tangent[..., seed.start : seed.start + seed.value.shape[-1]] += partial()
     return out if tangent is None else Dual(out, tangent)
 
 

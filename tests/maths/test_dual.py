@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mfc_analysis.maths.dual import Dual, chain, concatenate, elementwise, matvec, times, value
+from mfc_analysis.maths.dual import Dual, Seed, chain, concatenate, elementwise, matvec, times, value
 
 K = np.random.default_rng(3).normal(size=(4, 3))
 
@@ -74,3 +74,21 @@ def test_times_is_a_batched_matrix_on_a_vector() -> None:
     assert_allclose(times(A, x), np.einsum("mij,mj->mi", A, x))
     assert_allclose(times(A[0], x[0]), A[0] @ x[0])
     assert_allclose(times(A[0], x), x @ A[0].T)
+
+
+def test_independent_variables_have_the_tangent_of_their_directions_in_sums_chains_and_slices() -> None:
+    rng = np.random.default_rng(4)
+    x = Seed(rng.normal(size=(2, 6)), 1, 9)
+    plain = Dual(x.value, x.tangent)
+    assert np.array_equal(x.tangent[0], np.eye(6, 9, 1))
+    P, Q, R = rng.normal(size=(2, 4, 3)), rng.normal(size=(4, 3)), rng.normal(size=(2, 4, 6))
+    for part, other in ((slice(3), slice(3, 6)), (slice(2, 5), slice(-3, None))):
+        assert isinstance(x[part], Seed)
+        for partials in ([P, Q], [Q, P]):
+            found, want = (
+                chain(np.zeros((2, 4)), *((lambda p=p: p, y) for p, y in zip(partials, (s[part], s[other]), strict=True))) for s in (x, plain)
+            )
+            assert np.array_equal(found.tangent, want.tangent)
+    found, want = (chain(np.zeros((2, 4)), (lambda: Q, s[:3]), (lambda: R, s * s)) for s in (x, plain))
+    assert_allclose(found.tangent, want.tangent, rtol=1e-15, atol=1e-15)  # summed in another order
+    assert not isinstance(2 * x, Seed) and np.array_equal((2 * x).tangent, 2 * x.tangent)
