@@ -17,6 +17,7 @@ app = typer.Typer(
     name="mfc-analysis",
     help="Stability, margins and gains of the control loops of a robot arm.",
     no_args_is_help=True,
+    rich_markup_mode=None,  # plain help, in half the time
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -84,7 +85,7 @@ def check(
     allow_watch: Annotated[bool, typer.Option(help="Accept WATCH (requirements met, with a warning) as met.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Check a study's requirements: exit code 0 met, 1 not met, 2 bad input."""
+    """Check a study's requirements. Exit code: 0 met, 1 not met, 2 bad input."""
     from mfc_analysis.study import check as study_check
 
     with terminal.progress("check") as advance:
@@ -183,7 +184,7 @@ def gains(
     friction: Annotated[float | None, typer.Option(help="force-pi: friction of the moving mass, in N s/m.")] = None,
     ratio: Annotated[float | None, typer.Option(help="cartesian-damping: damping ratio of each mode; default: 1.")] = None,
 ) -> None:
-    """Compute gains from a bandwidth, natural frequency, crossover or settling time; print the formula and the metrics achieved."""
+    """Compute gains for a bandwidth, crossover or settling time. Prints the formula and the metrics achieved."""
     from mfc_analysis.cli import gains as gains_command
 
     given = {name: value for name, value in locals().items() if value is not None and name not in ("kind", "gains_command")}
@@ -247,7 +248,7 @@ def _first_line(docstring: str | None) -> str:
 @app.command()
 @terminal.guarded
 def robots() -> None:
-    """List the embedded robots and the arms of the optional example-robot-data."""
+    """List the embedded robots, and the arms of example-robot-data."""
     from mfc_analysis.robots.catalogue import EMBEDDED, names
 
     rows = []
