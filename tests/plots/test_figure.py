@@ -64,6 +64,19 @@ def test_figures_carry_no_date_and_keep_their_text_as_text():
     assert ">ω [rad/s]<" in text.replace("\n", "")
 
 
+def test_a_title_has_a_fixed_place():
+    def recipe():
+        ax = sheet.axes_for("map")
+        sheet.label(ax, title="above")
+        ax.xaxis.tick_top()
+        made.append(ax)
+        return ax
+
+    made = []
+    sheet.svg(recipe)
+    assert [text.get_position() for text in made[0].findobj(Text) if text.get_text() == "above"] == [(0.0, 1.0)]
+
+
 def test_a_joint_keeps_its_colour_in_every_kind_of_figure():
     found = kinds.history()
     lines = [ax.get_lines()[2].get_color() for ax in (plots.margins(found), plots.margin_history(found)[0])]
