@@ -68,9 +68,11 @@ class Seed(Dual):
         super().__init__(value, tangent)
         self.start = start
 
-    def __getitem__(self, part: slice) -> Seed:
+    def __getitem__(self, part: slice) -> Dual:
         """Contiguous components are independent variables too."""
-        first, _, _ = part.indices(self.value.shape[-1])
+        first, _, stride = part.indices(self.value.shape[-1])
+        if stride != 1:
+            return super().__getitem__(part)
         return Seed(self.value[..., part], self.start + first, self.tangent.shape[-1], self.tangent[..., part, :])
 
 
