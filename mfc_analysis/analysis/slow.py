@@ -13,17 +13,18 @@ Source: Golub & Van Loan, Matrix Computations, 7.6 (reordering, Sylvester equati
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance, schur, solve_sylvester
+from scipy.linalg import expm, lapack
 
-from mfc_analysis.maths.arrays import Array, Complex
+from mfc_analysis.errors import NotConverged
+from mfc_analysis.maths.arrays import Array
 
 MOVES = 1e-3  #: [SI] an entry of the slow transition matrix below this is no motion
 ALONG = 1e-6  #: of the largest change from the same start below which a state does not move along
 KEEPS_MOVING = 1.5  #: times its value at half the horizon: a ramp doubles, a free position stays, a growth of 1/horizon is 1.6
-NUDGES = (1.0, 1.01, 0.99, 1.05, 0.95)  #: factors of the radius, tried in turn where a root lies so near it that it cannot be sorted
+WORK = 40  #: times the size of A: memory for LAPACK
+MOVED = 2.0  #: factor by which a slow root may grow while it is sorted
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,18 +36,14 @@ class SlowPart:
     left: Array  #: (k, nx), left @ right = I
     dt: float = 0.0  #: [s] of a sampled loop: S is (Z - I) / dt then
 
-    @property
-    def roots(self) -> Complex:
-        """(k,) [1/s]."""
-        found = np.linalg.eigvals(self.block).astype(np.complex128)
-        return np.asarray(np.log1p(found * self.dt) / self.dt if self.dt else found, np.complex128)
-
     def at(self, time: float) -> Array:
         """(nx, nx) transition matrix of the slow part over ``time`` [s]."""
+        return np.asarray(self.right @ self._transition(time) @ self.left)
+
+    def _transition(self, time: float) -> Array:
         if self.dt:
-            power = np.linalg.matrix_power(np.eye(len(self.block)) + self.dt * self.block, max(0, round(time / self.dt)))
-            return np.asarray(self.right @ power @ self.left)
-        return np.asarray(self.right @ expm(self.block * time) @ self.left)
+            return np.linalg.matrix_power(np.eye(len(self.block)) + self.dt * self.block, max(0, round(time / self.dt)))
+        return np.asarray(expm(self.block * time))
 
     def integral(self, time: float) -> Array:
         """(k, k) integral of the transition matrix of x_slow over ``time`` [s]: x_slow after a unit step of each of its rates."""
@@ -59,7 +56,9 @@ class SlowPart:
 
     def moves(self, horizon: float) -> Array:
         """(nx, nx) what keeps moving within the horizon [s]: the change of the transition over its second half, 0 where nothing does."""
-        return moving(self.at(horizon), self.at(horizon / 2))
+        half = self._transition(horizon / 2)
+        whole = self._transition(horizon) if self.dt else half @ half
+        return moving(self.right @ whole @ self.left, self.right @ half @ self.left)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,30 +81,36 @@ def moving(whole: Array, half: Array) -> Array:
     return np.asarray(np.where(keeps.any(axis=0) & (np.abs(change) > ALONG * np.abs(change).max(axis=0, initial=0.0)), change, 0.0))
 
 
-def parts(A: Array, radius: float, dt: float = 0.0) -> Parts:
-    """A (nx, nx) of one closed loop in its slow part, abs(s) < ``radius`` [1/s], and the rest. A sampled loop: ``dt`` > 0, s = ln(z) / dt."""
-    rate = (A - np.eye(len(A))) / dt if dt else A
-    balanced, (scale, _) = matrix_balance(rate, permute=False, separate=True)
-    T, U, k = _sorted(balanced, radius, dt)
-    S, F, X = T[:k, :k], T[k:, k:], T[:k, k:]
-    R = solve_sylvester(S, -F, -X) if 0 < k < len(A) else np.zeros((k, len(A) - k))
-    first, second = U[:, :k], U[:, k:]
+def parts(A: Array, radius: float, dt: float = 0.0, least: int = 0) -> Parts:
+    """A (nx, nx) of one closed loop in its slow part, abs(s) < ``radius`` [1/s], and the rest. A sampled loop: ``dt`` > 0, s = ln(z) / dt.
+
+    The ``least`` slowest roots are in the slow part in any case: those that are known to be slow, of which rounding may put one outside.
+    Raises ``NotConverged`` where rounding mixes slow roots with the others.
+    """
+    n = len(A)
+    balanced, _, _, scale, _ = lapack.dgebal((A - np.eye(n)) / dt if dt else A, scale=1, permute=0)
+    T, _, re, im, U, _, failed = lapack.dgees(lambda re, im: 0, balanced, sort_t=0, lwork=WORK * n)
+    size = _sizes(re, im, dt)
+    ascending, k = np.sort(size), max(least, int(np.count_nonzero(size < radius)))
+    if 0 < k < n and not failed:
+        chosen = size <= ascending[k - 1]  # both roots of a pair
+        k = int(np.count_nonzero(chosen))
+        T, U, re, im, *_, failed = lapack.dtrsen(chosen, T, U, job="N")
+        failed = failed or _sizes(re[:k], im[:k], dt).max() > MOVED * max(radius, ascending[k - 1])
+    if failed:
+        raise NotConverged("the slow part of the linear loop has no digits: its coefficients differ by more than 16 decades")
+    S, F, first, second = T[:k, :k], T[k:, k:], U[:, :k], U[:, k:]
+    R = np.zeros((k, n - k))
+    if R.size:
+        R, shrunk, _ = lapack.dtrsyl(S, F, -T[:k, k:], isgn=-1)
+        R = R / shrunk
     slow = SlowPart(S, scale[:, None] * first, (first.T - R @ second.T) / scale, dt)
     return Parts(slow, F, scale[:, None] * (first @ R + second), second.T / scale)
 
 
-def _sorted(A: Array, radius: float, dt: float) -> tuple[Array, Array, int]:
-    """Real Schur form T, U of A with the k slow roots first."""
-
-    def is_slow(re: float, im: float, limit: float) -> bool:
-        s = complex(re, im)
-        return bool(abs(np.log1p(s * dt) / dt if dt and s != -1 / dt else s) < limit)
-
-    for nudge in NUDGES:
-        try:
-            found: Any = schur(A, output="real", sort=lambda re, im, limit=nudge * radius: is_slow(re, im, limit))
-        except np.linalg.LinAlgError:
-            continue
-        return np.asarray(found[0]), np.asarray(found[1]), int(found[2])
-    found = schur(A, output="real")
-    return np.asarray(found[0]), np.asarray(found[1]), 0
+def _sizes(re: Array, im: Array, dt: float) -> Array:
+    """abs(s) [1/s] of eigenvalues of A, or of (Z - I) / dt; both of a pair alike."""
+    if not dt:
+        return np.hypot(re, im)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.abs(np.log1p((re + 1j * np.abs(im)) * dt)) / dt)

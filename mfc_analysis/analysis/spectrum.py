@@ -6,15 +6,16 @@ The poles leave dead time out; the stability verdict includes it exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from mfc_analysis.analysis.slow import Parts, parts
 from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.errors import NotConverged
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 
 UNDAMPED = 1e-10  #: a root whose real part is below this fraction of its modulus counts as undamped: not stable
-NEARLY = 2.0  #: a point with a pole within this many radii of zero is split into its slow part and the rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,13 +24,34 @@ class Spectrum:
 
     poles: Complex  #: (m, nx) [rad/s], or in the z plane
     slow: Bools  #: (m, nx) True for the slow poles
-    parts: tuple[Parts | None, ...]  #: (m,) the slow part and the rest; None where no pole is near zero
+    A: Array  #: (m, nx, nx) of the closed loop
+    radius: float  #: [1/s] of the disc of the slow poles
     dt: float  #: [s] 0: continuous
 
     @property
     def rates(self) -> Complex:
         """(m, nx) [rad/s] the poles in the s plane: ln(z) / dt of a sampled loop."""
         return rates(self.poles, self.dt)
+
+    @cached_property
+    def decays(self) -> Bools:
+        """(m,) whether every pole that is not slow decays."""
+        return np.asarray((inside(self.poles, self.dt) | self.slow).all(axis=1))
+
+    def parts(self, index: int) -> Parts | None:
+        """The slow part and the rest at one point; None where no pole is slow.
+
+        Where rounding mixes them: None if another pole does not decay, since that settles the verdict; else raises ``NotConverged``.
+        """
+        count = int(self.slow[index].sum())
+        if not count:
+            return None
+        try:
+            return parts(self.A[index], self.radius, self.dt, count)
+        except NotConverged:
+            if self.decays[index]:
+                raise
+            return None
 
 
 @dataclass(frozen=True)
@@ -53,20 +75,13 @@ def rates(poles: Complex, dt: float) -> Complex:
 
 
 def spectrum(system: OpenSystem, eigenvalues: Complex | None = None) -> Spectrum:
-    """Poles of the closed loop, dead time left out, with its slow part. ``eigenvalues``: (m, nx), if already known."""
+    """Poles of the closed loop, dead time left out. ``eigenvalues``: (m, nx), if already known."""
     A, dt, radius = close_wires(system)[0], system.dt, system.radius
-    found = np.array(np.linalg.eigvals(A) if eigenvalues is None else eigenvalues, np.complex128).reshape(A.shape[:2])
-    near = (np.abs(rates(found, dt)) < NEARLY * radius).any(axis=1)
-    slow = np.zeros(found.shape, bool)
-    split: list[Parts | None] = [None] * len(A)
-    for i in np.flatnonzero(near):
-        one = split[i] = parts(A[i], radius, dt)
-        both = [np.linalg.eigvals(block).astype(np.complex128) for block in (one.slow.block, one.fast)]
-        found[i] = np.concatenate(both) * dt + 1.0 if dt else np.concatenate(both)
-        slow[i, : both[0].size] = True
+    found = np.asarray(np.linalg.eigvals(A) if eigenvalues is None else eigenvalues, np.complex128).reshape(A.shape[:2])
+    slow = np.abs(rates(found, dt)) < radius
     s = rates(found, 1.0 if dt else 0.0)
     order = np.lexsort((-s.imag, np.abs(s.imag), np.abs(s.real), ~slow), axis=1)
-    return Spectrum(np.take_along_axis(found, order, 1), np.take_along_axis(slow, order, 1), tuple(split), dt)
+    return Spectrum(np.take_along_axis(found, order, 1), np.take_along_axis(slow, order, 1), A, radius, dt)
 
 
 def poles(system: OpenSystem) -> Complex:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mfc_analysis.analysis.delay.roots import delay_roots
 from mfc_analysis.analysis.delay.verdict import delayed_verdicts
-from mfc_analysis.analysis.spectrum import Spectrum, inside, spectrum
+from mfc_analysis.analysis.spectrum import Spectrum, spectrum
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
@@ -41,7 +41,8 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
     """The verdict at each point, dead time included (see "A verdict holds over a horizon" in the guide).
 
     Integrals that act on nothing are dropped first. ``known``: the spectrum of the system without them, if already computed.
-    Raises ``NotConverged`` where the number of unstable roots of a loop with dead time cannot be settled.
+    Raises ``NotConverged`` where the number of unstable roots of a loop with dead time cannot be settled, or the slow part has no digits and
+    nothing else settles the verdict.
     """
     whole, system = system, without_idle(system)
     known = spectrum(system) if known is None else known
@@ -51,12 +52,11 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
         slow, decay, held = (np.array([getattr(one, name) for one in found]) for name in ("slow", "decays", "held"))
         roots, motion, walks = (tuple(getattr(one, name) for one in found) for name in ("slow_roots", "motion", "walk"))
     else:
-        slow = known.slow.sum(axis=1)
-        decay = np.asarray((inside(known.poles, known.dt) | known.slow).all(axis=1))
+        slow, decay = known.slow.sum(axis=1), known.decays
         held = slow < system.nx - system.registers
         none, walks = np.zeros((system.nx, system.nx)), (np.zeros(0),) * m
-        roots = tuple(np.zeros(0, np.complex128) if one is None else one.slow.roots for one in known.parts)
-        motion = tuple(none if one is None or not one.slow.block.size else one.slow.moves(horizon) for one in known.parts)
+        roots = tuple(each[some] for each, some in zip(known.rates, known.slow, strict=True))
+        motion = tuple(none if part is None else part.slow.moves(horizon) for part in map(known.parts, range(m)))
     drifts = np.array([moved.any() for moved in motion], bool).reshape(m)
     good, idle = np.asarray(decay & held, bool), np.full(m, whole.nx - system.nx)
     return Stability(good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), idle, roots, motion, walks, horizon)

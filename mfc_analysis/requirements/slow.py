@@ -111,7 +111,7 @@ def _free(evidence: Evidence, i: int) -> str:
 
     They are those without dead time, which changes them by its fraction of the horizon.
     """
-    part, where = evidence.spectrum.parts[i], evidence.equations.parts["q"].where
+    part, where = evidence.spectrum.parts(i), evidence.equations.parts["q"].where
     left = None if part is None else part.slow.at(evidence.horizon)[where, where]
     if left is None or np.abs(left).max() <= LEFT:
         return ""

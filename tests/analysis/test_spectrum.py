@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import mfc_analysis as mfc
+from mfc_analysis.analysis.slow import parts
 from mfc_analysis.analysis.spectrum import pole_table, poles, spectrum
+from mfc_analysis.errors import NotConverged
 from tests.analysis.conftest import companion, from_matrix, mixed
 
 
@@ -33,6 +36,25 @@ def test_a_slow_root_beside_stiff_ones_keeps_its_value(stiffness, slow):
     assert s.slow[0].tolist() == [True, False, False, False]
     assert_allclose(s.poles[0, 0], -slow, rtol=1e-2)
     assert not spectrum(replace(from_matrix(A), horizon=2 / slow)).slow.any()  # outside a smaller disc
+
+
+def test_poles_need_no_schur_form_where_some_are_slow(monkeypatch):
+    A = np.diag([0.0, -1e-3, -2.0])
+    known = spectrum(from_matrix(A))
+    monkeypatch.setattr("mfc_analysis.analysis.spectrum.parts", lambda *_: pytest.fail("the slow part is not asked for"))
+    assert_allclose(poles(from_matrix(A))[0], [0, -1e-3, -2])
+    assert known.slow[0].tolist() == [True, True, False]
+
+
+def test_a_slow_part_without_digits_does_not_hide_an_unstable_root():
+    """Friction of 1e30 Nms/rad: sorting the slow roots apart from those of 1e31 1/s moves them by decades; others are at +1e14 1/s."""
+    robot = mfc.robots.ur5().with_friction(viscous=1e30, coulomb=0.1)
+    law, lag = mfc.laws.ComputedTorque(100.0, 10.0, 20.0), mfc.Hardware(torque_lag=2e-3)
+    lin = mfc.ClosedLoop(robot, law, mfc.trajectories.Quintic([0.1, -1.0, 1.0, 0.3, 0.4, 0.5], [0.3] * 6, 1.0), hardware=lag).linearize([0.5])
+    with pytest.raises(NotConverged, match="no digits"):
+        parts(lin.A[0], 0.01)
+    assert spectrum(lin.reduced).parts(0) is None
+    assert lin.slow == 14 and not lin.stable
 
 
 def test_poles_are_slowest_first_with_zeros_before_all_and_in_one_order():

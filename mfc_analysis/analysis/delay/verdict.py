@@ -9,7 +9,7 @@ import numpy as np
 from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points
 from mfc_analysis.analysis.delay.count import NARROW, roots_within, unstable_roots
 from mfc_analysis.analysis.delay.slow import slow_part
-from mfc_analysis.analysis.spectrum import Spectrum, inside
+from mfc_analysis.analysis.spectrum import Spectrum
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, NotConverged
 from mfc_analysis.maths.arrays import Array, Complex, on_axis
@@ -48,13 +48,12 @@ def delayed_verdicts(system: OpenSystem, known: Spectrum) -> list[DelayedVerdict
 
 
 def _verdict(system: OpenSystem, known: Spectrum, index: int, point: Delayed) -> DelayedVerdict:
-    radius, nx, part, none = system.radius, system.nx, known.parts[index], np.zeros(0)
+    radius, nx, none = system.radius, system.nx, np.zeros(0)
     if not point.in_a_loop:
-        slow = int(known.slow[index].sum())
-        decays = bool((inside(known.poles[index], system.dt) | known.slow[index]).all())
-        roots = np.zeros(0, np.complex128) if part is None else part.slow.roots
-        motion = part.slow.moves(system.horizon) if part and slow else np.zeros((nx, nx))
-        return DelayedVerdict(slow, decays, slow < nx - system.registers, roots, motion, none)
+        part = known.parts(index)
+        roots = known.rates[index][known.slow[index]]
+        motion = np.zeros((nx, nx)) if part is None else part.slow.moves(system.horizon)
+        return DelayedVerdict(roots.size, bool(known.decays[index]), roots.size < nx - system.registers, roots, motion, none)
     unstable, walk = _counted(point, radius)
     try:
         slow = roots_within(point, radius) if radius else 0
