@@ -1,6 +1,5 @@
 from .dead_time import DelayMap as DelayMap, delay_map as delay_map, over_delay as over_delay
 from .limits import (
-    Bandwidth as Bandwidth,
     max_bandwidth as max_bandwidth,
     max_delay as max_delay,
     max_payload as max_payload,

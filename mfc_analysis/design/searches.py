@@ -18,6 +18,7 @@ from mfc_analysis.maths.arrays import Array
 
 if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.requirements.line import Line
 
 
 STEPS = 8  #: steps of the scan per decade
@@ -30,7 +31,7 @@ Tick = Callable[[float], None]
 class Outcome(Enum):
     """Outcome of a search; the value is a sentence."""
 
-    FOUND = "the limit is known to a relative 1e-6"
+    FOUND = "the limit is known to a relative 1e-5"
     UNLIMITED = "the condition holds up to the end of the search"
     NOWHERE = "the condition holds nowhere in the search"
 
@@ -60,15 +61,16 @@ class Limit(float):
     beyond: ClosedLoop | None  #: the loop at the first value at which the condition fails; None where there is none
     evaluations: int  #: number of loops checked
     notes: tuple[str, ...]
+    binding: Line | None  #: the requirement (or "stable") missed just beyond the limit, with its joint and time; None where none is
 
     def __new__(
         cls, value: float, name: str = "", unit: str = "", outcome: Outcome = Outcome.FOUND, binds: str = "", loop: ClosedLoop | None = None,
-        beyond: ClosedLoop | None = None, evaluations: int = 0, notes: tuple[str, ...] = (),
+        beyond: ClosedLoop | None = None, evaluations: int = 0, notes: tuple[str, ...] = (), binding: Line | None = None,
     ) -> Self:  # fmt: skip
         self = super().__new__(cls, value)
         self.name, self.unit, self.outcome, self.binds = name, unit, outcome, binds
         self.loop = cast("ClosedLoop", loop)  # None only while it is unpickled
-        self.beyond, self.evaluations, self.notes = beyond, evaluations, notes
+        self.beyond, self.evaluations, self.notes, self.binding = beyond, evaluations, notes, binding
         return self
 
     def __getnewargs__(self) -> tuple[float]:
@@ -80,6 +82,15 @@ class Limit(float):
         return "\n".join([head, f"  {self.binds or self.outcome.value}", *(f"  note: {note}" for note in self.notes)])
 
     __repr__ = __str__
+
+    @property
+    def pose(self) -> dict[str, float]:
+        """Joint angles [rad, m] by name at the time of ``binding``, on the reference; empty where nothing binds."""
+        loop = self.beyond or self.loop
+        if self.binding is None or self.binding.when is None:
+            return {}
+        q = loop.nominal([self.binding.when]).q[0]
+        return {name: float(x) for name, x in zip(loop.robot.joint_names, q, strict=True)}
 
     @property
     def replay(self) -> str:

@@ -183,12 +183,17 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool | Bools)
     return Dual(wrench, np.concatenate([dg, dm], axis=-2)), Dual(force, np.concatenate([df, none], axis=-2)), elastic
 
 
+def stiffest(surface: Environment) -> float:
+    """Largest translational stiffness [N/m] of a surface; of one that only turns, the rotational one [Nm/rad]."""
+    diagonal = np.diag(surface.K)
+    return float(diagonal[:3].max()) or float(diagonal[3:].max())
+
+
 def stiffened(surface: Environment, stiffness: float, X: ArrayLike) -> Environment:
     """The surface scaled to this stiffness [N/m] with the same force where the tool is at pose X (4, 4)."""
     assert surface.pose is not None
     K = surface.K
-    diagonal = np.diag(K)
-    largest = float(diagonal[:3].max()) or float(diagonal[3:].max())
+    largest = stiffest(surface)
     if largest > 0:
         new = K * (stiffness / largest)
     else:

@@ -18,6 +18,7 @@ Locked = str | Sequence[str] | Mapping[str, float] | None
 
 _USUAL_TOOL = "tool0"  # ROS-Industrial's name of the flange, preferred among several leaves of a chain
 _ROUNDING = 1e-3  # of the largest moment of inertia, what printed numbers of three digits may lack
+_EMPTY = 1e-12  # fraction of a mass or an inertia that is rounding error of a subtraction
 _SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit diagonal, below which it counts as singular
 
 
@@ -185,6 +186,16 @@ def body(mass: float, com: Array, inertia: Array) -> pin.Inertia:
     out = pin.Inertia.Zero()
     out.mass, out.lever, out.inertia = mass, np.array(com, float), np.array(inertia, float)
     return out
+
+
+def reduced(whole: pin.Inertia, part: Array) -> pin.Inertia:
+    """The inertia without the spatial inertia ``part`` (6, 6) of a body that is in it; both about the same origin."""
+    rest = whole.matrix() - part
+    mass = float(rest[0, 0])
+    if mass <= _EMPTY * whole.mass:
+        return body(0.0, np.zeros(3), np.where(np.abs(rest) > _EMPTY * np.abs(whole.matrix()).max(), rest, 0.0)[3:, 3:])
+    C = rest[3:, :3] / mass  # [com]
+    return body(mass, np.array([C[2, 1], C[0, 2], C[1, 0]]), rest[3:, 3:] + mass * C @ C)
 
 
 def rotational_inertia(inertia: ArrayLike) -> Array:

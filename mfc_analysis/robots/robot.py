@@ -210,6 +210,20 @@ class Robot:
             raise BadArgument("mass, com, inertia", (mass, com, I), "a body whose inertia at the joint is a finite number")
         return replace(self, model=model, payloads=(*self.payloads, Payload(mass, com, I)))
 
+    def with_payloads_scaled(self, factor: float) -> Robot:
+        """The robot with the masses and inertias of the bodies that ``with_payload`` added multiplied by ``factor`` >= 0; 0: without them."""
+        factor = checks.number("factor", factor, low=0.0)
+        model = pin.Model(self.model)
+        frame = model.frames[self.frame_id]
+        held = np.zeros((6, 6))
+        for p in self.payloads:
+            held += frame.placement.act(build.body(p.mass, p.com, p.inertia)).matrix()
+        model.inertias[frame.parentJoint] = build.reduced(model.inertias[frame.parentJoint], held)
+        robot = replace(self, model=model, payloads=())
+        for p in self.payloads if factor else ():
+            robot = robot.with_payload(factor * p.mass, p.com, factor * p.inertia)
+        return robot
+
     def with_friction(self, viscous: ArrayLike | None = None, coulomb: ArrayLike = 0.0, coulomb_speed: float = COULOMB_SPEED) -> Robot:
         """The robot with this joint friction in place of its own.
 

@@ -353,3 +353,19 @@ def test_a_robot_says_what_it_is():
 def test_only_a_pinocchio_model_is_taken_as_one():
     with pytest.raises(errors.BadArgument, match="model"):
         Robot.from_pinocchio("arm.urdf")
+
+
+def test_payloads_are_scaled_and_taken_off_again():
+    bare = robots.ur5()
+    loaded = bare.with_payload(2.0, (0.01, 0.0, 0.05), 0.01).with_payload(1.0)
+    half = bare.with_payload(1.0, (0.01, 0.0, 0.05), 0.005).with_payload(0.5)
+    rng = np.random.default_rng(1)
+    for q, v in rng.uniform(-2, 2, (3, 2, 6)):
+        for one, other in ((loaded.with_payloads_scaled(0.0), bare), (loaded.with_payloads_scaled(0.5), half)):
+            assert_allclose(one.mass(q), other.mass(q), rtol=1e-12, atol=1e-13)
+            assert_allclose(one.bias(q, v), other.bias(q, v), rtol=1e-12, atol=1e-12)
+    assert loaded.with_payloads_scaled(0.0).payloads == () and [p.mass for p in loaded.with_payloads_scaled(0.5).payloads] == [1.0, 0.5]
+    alone = robots.slider(mass=2.0)
+    assert alone.with_payload(3.0).with_payloads_scaled(0.0).total_mass == pytest.approx(2.0, rel=1e-12)
+    with pytest.raises(errors.BadArgument, match="factor"):
+        loaded.with_payloads_scaled(-1.0)
