@@ -103,6 +103,27 @@ def check(
 
 @app.command()
 @terminal.guarded
+def limits(
+    study: StudyFile,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Find how far payload, dead time, sampling, bandwidth and wall may go with the requirements still met: exit code 0 met as given, 1 not met."""
+    from mfc_analysis.study import limits as study_limits
+
+    with terminal.progress("limits") as advance:
+        found = [study_limits.requirement_limits(one, advance) for one in _study(study).loops]
+    if json:
+        terminal.say(study_limits.as_json(found))
+    else:
+        for one in found:
+            terminal.table(study_limits.COLUMNS, one.rows(), f"{one.loop.name}: {one.loop.requirements}")
+            terminal.say(*one.sentences())
+    if not all(one.met for one in found):
+        raise typer.Exit(terminal.NOT_MET)
+
+
+@app.command()
+@terminal.guarded
 def init(
     robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A URDF file, or a robot name: see 'mfc-analysis robots'.")],
     out: Annotated[Path | None, typer.Option(help="Study file to write; default: the robot's name with .toml, in this folder.")] = None,

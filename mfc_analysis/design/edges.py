@@ -185,8 +185,10 @@ def requirement_limit(
         assert missed is not None
         tried = [nominal, *way.easier[-1:], *(way.harder[-1:] if way.other else ())]
         ends = sorted(told(float(x)) for x in tried)
-        span = f"no value from {ends[0]:.4g} to {ends[-1]:.4g} {about.unit} meets" if ends[0] < ends[-1] else "as given the loop does not meet"
-        binds = f"{span} the requirements; at {told(nominal):.6g} {about.unit} {missed[1]}"
+        span = (
+            f"no value from {ends[0]:.4g} to {ends[-1]:.4g} {about.unit} meets the requirements" if ends[0] < ends[-1] else "there is no easier value"
+        )
+        binds = f"{span}; as given {missed[1]}"
         return Limit(np.inf if about.rate else 0.0, about.name, about.unit, Outcome.NOWHERE, binds, missed[0], missed[0], count, (), missed[2])
     loop = judge.worst(loops(edge.holds))[1]
     notes = []

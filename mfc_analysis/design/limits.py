@@ -54,23 +54,31 @@ def max_stiffness(
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     upper = checks.number("upper", upper, low=0.0, high=STIFFEST, strict=True)
+    t, judge = _asked(loop, times, requirements, at)
+    stiffer, given = with_stiffness(loop, float(t[0]))
+    if judge is None:
+        return _limit(stiffer, scan(1e-8 * upper, upper), t, horizon, "largest stable stiffness", "N/m", progress)
+    if not 0 < given <= upper:
+        raise BadArgument("upper", upper, f"at least the stiffness of the loop, {given:g} N/m, which must be positive")
+    return requirement_limit(stiffer, "stiffness", given, judge, lower=SOFTEST * given, upper=upper, progress=progress)
+
+
+def with_stiffness(loop: ClosedLoop, time: float = 0.0) -> tuple[Callable[[float], ClosedLoop], float]:
+    """The loop as a function of the stiffness [N/m] that ``max_stiffness`` varies, with the same force at ``time`` [s]; and its stiffness.
+
+    Raises BadArgument for a loop without an environment.
+    """
     surfaces = loop.equations.surfaces
     if not surfaces:
         raise BadArgument("loop", str(loop), "a loop with an environment: ClosedLoop(..., environment=mfc.Environment(...))")
     pressed = [s.f0.any() for s in surfaces]
     varied = pressed if any(pressed) else [True] * len(surfaces)
-    t, judge = _asked(loop, times, requirements, at)
-    X = loop.robot.pose(loop.nominal(t[:1]).q[0])
+    X = loop.robot.pose(loop.nominal([time]).q[0])
 
     def stiffer(k: float) -> ClosedLoop:
         return replace(loop, environment=[stiffened(s, k, X) if vary else s for s, vary in zip(surfaces, varied, strict=True)])
 
-    if judge is None:
-        return _limit(stiffer, scan(1e-8 * upper, upper), t, horizon, "largest stable stiffness", "N/m", progress)
-    given = max(stiffest(s) for s, vary in zip(surfaces, varied, strict=True) if vary)
-    if not 0 < given <= upper:
-        raise BadArgument("upper", upper, f"at least the stiffness of the loop, {given:g} N/m, which must be positive")
-    return requirement_limit(stiffer, "stiffness", given, judge, lower=SOFTEST * given, upper=upper, progress=progress)
+    return stiffer, max(stiffest(s) for s, vary in zip(surfaces, varied, strict=True) if vary)
 
 
 def max_delay(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from mfc_analysis.robots.coupling import lacks_armature
-from mfc_analysis.study.limits import limits
+from mfc_analysis.study.limits import limits, number
 
 if TYPE_CHECKING:
     from mfc_analysis.design.searches import Limit
@@ -110,15 +110,11 @@ def as_json(checks: Sequence[LoopCheck]) -> str:
     for one in checks:
         lines = [
             {
-                "requirement": line.name, "status": line.status.value, "asked": _number(line.asked), "found": _number(line.found), "unit": line.unit,
+                "requirement": line.name, "status": line.status.value, "asked": number(line.asked), "found": number(line.found), "unit": line.unit,
                 "where": line.where, "when": line.when, "case": case, "note": line.note,
             }
             for line, case in one.lines
         ]  # fmt: skip
-        limits = {limit.name: {"value": _number(float(limit)), "unit": limit.unit, "binds": limit.binds} for limit in one.limits}
+        limits = {limit.name: {"value": number(float(limit)), "unit": limit.unit, "binds": limit.binds} for limit in one.limits}
         out.append({"loop": one.loop.name, "status": one.status, "cases": one.cases, "lines": lines, "notes": list(one.notes), "limits": limits})
     return json.dumps(out, indent=2, ensure_ascii=False)
-
-
-def _number(value: float) -> float | str:
-    return value if math.isfinite(value) else "undefined" if math.isnan(value) else "infinite" if value > 0 else "minus infinity"

@@ -33,6 +33,7 @@ from mfc_analysis.study.tables import PoseTable, Table
 if TYPE_CHECKING:
     from mfc_analysis.dynamics.environment import Environment
     from mfc_analysis.dynamics.hardware import Hardware
+    from mfc_analysis.gains.result import Gains
     from mfc_analysis.laws.law import Law
     from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.requirements.requirements import Requirements
@@ -212,7 +213,7 @@ class Parts:
             takes = (*kind.parameters(), "gains")
             if table.gains is not None:
                 given.pop("gains")
-                for key, value in self._gains(table.gains).items():
+                for key, value in self.designed(table.gains).items():
                     if key in given:
                         raise BadArgument(key, given[key], f"no value, because law.gains also sets {key}")
                     given[key] = value
@@ -239,7 +240,8 @@ class Parts:
                 checks.choice("at", self.table.at, self.law.opens_at)
         return self.table.at
 
-    def _gains(self, table: GainsTable) -> Mapping[str, Any]:
+    def designed(self, table: GainsTable) -> Gains:
+        """The gains of a helper. Raises BadArgument or a subclass."""
         from mfc_analysis import gains
 
         helper = getattr(gains, table.helper)
@@ -252,8 +254,9 @@ class Parts:
             if parameter.default is parameter.empty and key not in asked and key not in ("robot", "q"):
                 raise BadArgument(f"gains.{key}", None, f"a number, required by {table.helper}")
         if table.helper == "joint_pid":
-            return dict(helper(self.model, self.reference if self.reference.space == "joint" else self._start("q_start"), **asked))
-        return dict(helper(**asked))
+            asked |= {"robot": self.model, "q": self.reference if self.reference.space == "joint" else self._start("q_start")}
+        found: Gains = helper(**asked)
+        return found
 
     def _constraints(self, table: ConstraintsTable) -> Any:
         from mfc_analysis.laws import constraints

@@ -51,6 +51,16 @@ def test_check_as_json_has_the_same_lines(tmp_path):
     assert line["asked"] == 89 and line["found"] < 89 and line["where"] == "joint" and line["when"] == 0
 
 
+def test_limits_ends_as_check_does_and_lists_what_binds(tmp_path):
+    done = run("limits", small(tmp_path))
+    assert done.exit_code == 0, done.output
+    row = next(line for line in done.stdout.splitlines() if "largest dead time" in line)
+    assert re.search(r"largest dead time +[\d.]+ s +0 s +phase margin +joint +0 s", row) and "pose at t = 0 s: joint 0.3 rad" in done.stdout
+    assert run("limits", small(tmp_path, 89.0)).exit_code == 1
+    found = json.loads(run("limits", "--json", small(tmp_path)).stdout)[0]["limits"]["largest dead time"]
+    assert found["binding"] == "phase_deg" and found["pose"] == {"joint": 0.3}
+
+
 def test_check_over_ranges_names_the_worst_case(tmp_path):
     done = run("check", small(tmp_path, 10.0, "[ranges]\ntorque_lag = [0.0, 0.05]\n"))
     assert "2 cases" in done.stdout
