@@ -25,6 +25,8 @@ from mfc_analysis.maths.dual import value
 from mfc_analysis.robots.robot import Robot
 
 if TYPE_CHECKING:
+    from control import NonlinearIOSystem
+
     from mfc_analysis.dynamics.quasi_static import QuasiStatic
     from mfc_analysis.simulation.orbit import Floquet
     from mfc_analysis.simulation.simulation import Simulation
@@ -238,6 +240,18 @@ class ClosedLoop:
         else:
             x0 = checks.array("x", x, (self.equations.nx,))
         return simulate(self.equations, asked, x0, disturbance, rtol=rtol, atol=atol, method=method, max_evaluations=max_evaluations)
+
+    def nlsys(self) -> NonlinearIOSystem:
+        """The nonlinear loop for python-control, a ``control.NonlinearIOSystem`` with the names of ``linearize(coordinates="state")``.
+
+        Inputs, all 0 on the reference: a shift of the reference (q_d [rad, m], or a body twist that moves X_d), a disturbance at the joints,
+        and a change of F_d where the law has one. Outputs: q, error, command, and F_tip with a surface.
+
+        Warns where dead time is left out. Raises Unsupported for a loop with a sample time.
+        """
+        from mfc_analysis.simulation.nonlinear_system import nonlinear_system
+
+        return nonlinear_system(self.equations)
 
     def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
         """Compares linear prediction and nonlinear simulation over ``time`` [s], from the operating point disturbed by ``size`` [rad, m].

@@ -10,6 +10,7 @@ import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +28,9 @@ from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.checks import number, times as checked_times
+
+if TYPE_CHECKING:
+    from control import TimeResponseData
 
 MOST_SAMPLES = 60_000_000  #: of a sampled loop
 DIED = 14.0  #: time constants of the slowest characteristic root in a run with dead time,
@@ -60,6 +64,11 @@ class Step:
     undershoot: float  #: fraction of the final value by which the response first moves in the wrong direction
     peak: float  #: largest |y|, the final value where that is never exceeded; NaN where it does not settle
     peak_time: float  #: [s]; inf where the response comes nearest to its peak at the end
+
+    @property
+    def response(self) -> TimeResponseData:
+        """The samples as a ``control.TimeResponseData`` of one input, a unit step, and one output."""
+        return _response(self.t, self.y[None, None], (self.input,), (self.output,))
 
     def __str__(self) -> str:
         if self.outcome is not Outcome.SETTLES:
@@ -157,6 +166,11 @@ class Steps:
         metrics = {name: values[i, o, j] for name, values in self._metrics.items()}
         return Step(self.t, y, self.inputs[j], self.outputs[o], float(self.times[i]), settling_band=self.settling_band, **metrics)
 
+    @property
+    def responses(self) -> tuple[TimeResponseData, ...]:
+        """The samples (ny, nu, k) at each of the m points as a ``control.TimeResponseData``, as ``control.step_response`` gives them."""
+        return tuple(_response(self.t, y, self.inputs, self.outputs) for y in self.y)
+
     def __len__(self) -> int:
         return len(self.times)
 
@@ -197,6 +211,17 @@ class Steps:
 
         heads = ("output", f"longest settling ({100 * self.settling_band:g} %)", "largest overshoot", "settle")
         return table(self._title, heads, self._rows())
+
+
+def _response(t: Array, y: Array, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> TimeResponseData:
+    """Responses y (ny, nu, k) to unit steps."""
+    from control import TimeResponseData
+
+    u = np.broadcast_to(np.eye(len(inputs))[..., None], (len(inputs), len(inputs), t.size))
+    return TimeResponseData(
+        t, y, inputs=u, issiso=y.shape[:2] == (1, 1), output_labels=list(outputs), input_labels=list(inputs), title="Step response",
+        plot_inputs=False, trace_labels=[f"From {name}" for name in inputs], trace_types=["step"] * len(inputs),
+    )  # fmt: skip
 
 
 def step(system: OpenSystem, index: int, input: str | int, output: str | int, duration: float | None = None, times: ArrayLike | None = None) -> Step:

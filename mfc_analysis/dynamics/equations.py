@@ -39,7 +39,7 @@ from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
 from mfc_analysis.laws.law import TWIST, WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, concatenate, elementwise, times, value
-from mfc_analysis.maths.se3 import Pose
+from mfc_analysis.maths.se3 import Pose, exp6
 from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.robots.singularity import WARN_CONDITION
@@ -252,14 +252,13 @@ class Equations:
             F_d = NO_WRENCH if self.law.desired_wrench is None else self.law.desired_wrench
         point = self.reference_source(t)
         if self.reference_source.space == "tool":
-            pose = Pose.of(np.asarray(point.X), shift.tangent if isinstance(shift, Dual) else None)
-            return ToolReference(pose, point.V, point.dV, F_d)
+            return ToolReference(_shifted(Pose.of(np.asarray(point.X)), shift), point.V, point.dV, F_d)
         if self.law.space == "joint":
             return JointReference(point.q if shift is None else point.q + shift, point.v, point.a, F_d)
         q, v, a = (np.asarray(x) for x in point)
         X = self.plant.pose(q)
         V, dV = self.plant.jacobian(q, v), self.plant.jacobian(q, a) + self.plant.jacobian_dot(q, v)
-        return ToolReference(Pose(X.R, X.p, shift.tangent if isinstance(shift, Dual) else None), V, dV, F_d)
+        return ToolReference(_shifted(X, shift), V, dV, F_d)
 
     # --- the loop ------------------------------------------------------------------------------------------------
 
@@ -281,7 +280,7 @@ class Equations:
         disturbance = 0.0 if inputs.disturbance is None else inputs.disturbance
         command = action.command
         if self.law.needs_acceleration:
-            command = self._with_measured_acceleration(t, s, command, touched.wrench, disturbance, wires)
+            command = self._with_measured_acceleration(t, s, command, touched.wrench, inputs, wires)
         else:
             command = wires(self.actuator, command)
         rates.update(self.move(s, command, touched.wrench, disturbance))
@@ -352,10 +351,11 @@ class Equations:
         return elementwise(command, lambda u: np.clip(u, -limit, limit), lambda u: np.where(np.abs(u) <= limit, 1.0, 0.0))
 
     def _with_measured_acceleration(
-        self, t: float | Array, s: Mapping[str, Vector], command: Vector, F: Vector, disturbance: Vector, wires: Wires
+        self, t: float | Array, s: Mapping[str, Vector], command: Vector, F: Vector, inputs: Inputs, wires: Wires
     ) -> Vector:
         """tau = command - E q'', E q'' the law's ``acceleration_torque``, with q'' of the plant under this same torque tau."""
-        law, ref = self.law, self.reference(t)
+        law, ref, disturbance = self.law, self.reference(t, inputs), inputs.disturbance
+        disturbance = 0.0 if disturbance is None else disturbance
         assert isinstance(ref, JointReference)
         if "lag" in s or wires.cuts("torque"):
             drive = s["lag"] if "lag" in s else wires.inputs["torque"]
@@ -386,13 +386,22 @@ class Equations:
         try:
             F = contact(self.surfaces, self.plant, s["q"], s["v"], lose_contact=lose_contact).wrench if self.surfaces else NO_WRENCH
             action, rates = self.control(t, s, F, uncut, NO_INPUTS)
-            command, push = action.command, 0.0 if disturbance is None else disturbance
+            command = action.command
             if self.law.needs_acceleration:
-                command = self._with_measured_acceleration(t, s, command, F, push, Wires())
-            rates.update(self.move(s, command, F, push))
+                command = self._with_measured_acceleration(t, s, command, F, Inputs(disturbance=disturbance), Wires())
+            rates.update(self.move(s, command, F, 0.0 if disturbance is None else disturbance))
         except (NearSingular, NearPi) as why:
             raise at_time(why, t) from None
         return self.state_rates(rates, x.shape[:-1])
+
+
+def _shifted(X: Pose, shift: Vector | None) -> Pose:
+    """X exp(shift), the shift a body twist (..., 6); a dual one is zero, with its tangent."""
+    if shift is None:
+        return X
+    if isinstance(shift, Dual):
+        return Pose(X.R, X.p, shift.tangent)
+    return X @ Pose.of(exp6(value(shift)))
 
 
 def warn_near_singular(equations: Equations, times: Array, q: Array) -> None:

@@ -75,6 +75,12 @@ class Hardware:
         """True if the joints are elastic."""
         return self.joint_stiffness is not None
 
+    @property
+    def dead_time(self) -> str:
+        """The dead times that a linear model without them leaves out, in words; "" if there are none, or a sample time, which includes them."""
+        late = ((self.delay, ""), (self.force_delay, " of the force sensor"))
+        return "" if self.sample_time else " and ".join(f"{T:g} s{of}" for T, of in late if T)
+
     def for_joints(self, n: int) -> JointHardware:
         """The same hardware with one entry for each of n joints. Raises BadArgument where a field has another shape."""
 

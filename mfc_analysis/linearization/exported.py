@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +13,11 @@ from mfc_analysis.errors import UnknownName
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 
+if TYPE_CHECKING:
+    from control import FrequencyResponseData, StateSpace
 
-def closed_model(system: OpenSystem) -> Any:
+
+def closed_model(system: OpenSystem) -> StateSpace:
     """The closed loop of a system with one point as a ``control.StateSpace`` with named signals, without the dead time of its wires."""
     import control
 
@@ -25,7 +28,7 @@ def closed_model(system: OpenSystem) -> Any:
     )  # fmt: skip
 
 
-def loop_model(system: OpenSystem, at: str, channel: int | str | None) -> Any:
+def loop_model(system: OpenSystem, at: str, channel: int | str | None) -> StateSpace:
     """L(s) opened at ``at`` in one channel (default: the first), the others closed, as a ``control.StateSpace``. Raises UnknownName."""
     import control
 
@@ -49,7 +52,7 @@ def loop_model(system: OpenSystem, at: str, channel: int | str | None) -> Any:
     )  # fmt: skip
 
 
-def measured_model(system: OpenSystem, frequencies: Array, at: str, channel: int | str | None) -> Any:
+def measured_model(system: OpenSystem, frequencies: Array, at: str, channel: int | str | None) -> FrequencyResponseData:
     """L(jw) of the same loop at w (k,) [rad/s] as ``control.FrequencyResponseData``, dead time included. Raises UnknownName."""
     import control
 

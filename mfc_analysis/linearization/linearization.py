@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter, methodcaller
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +18,7 @@ from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, c
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import Coordinates, External, closed_matrix, closed_system, external, open_system, without_wires
 from mfc_analysis.dynamics.operating_point import CHUNK, OperatingPoint, chunks, nominal, residual
-from mfc_analysis.errors import UnknownPoint, Unsupported
+from mfc_analysis.errors import MfcWarning, UnknownPoint, Unsupported
 from mfc_analysis.linearization.chunks import checked_jobs, each, joined
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
 from mfc_analysis.linearization.start import chosen_coordinates, operating_points, start_at
@@ -26,6 +27,8 @@ from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 from mfc_analysis.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
+    from control import FrequencyResponseData, StateSpace
+
     from mfc_analysis.analysis.disk import DiskMargin
     from mfc_analysis.analysis.floquet import TransientGrowth
     from mfc_analysis.analysis.margins import Margins
@@ -225,16 +228,24 @@ class Linearization:
 
     # --- python-control ------------------------------------------------------------------------------------------
 
-    def system(self, index: int = 0, pade: int | None = None) -> Any:
+    def system(self, index: int = 0, pade: int | None = None) -> StateSpace:
         """The closed loop at one time as a ``control.StateSpace`` with named signals.
 
-        ``pade``: order (1 to 15) of the Pade approximation of its dead time; None: dead time left out, as its ``name`` says.
+        ``pade``: order (1 to 15) of the Pade approximation of its dead time; None: dead time is left out, with a warning and in its ``name``.
         """
         from mfc_analysis.linearization.exported import closed_model
 
-        return closed_model(self._alone(self.opened, index, pade))
+        one = self._alone(self.opened, index)
+        return closed_model(self._without_wire_delay(one, pade))
 
-    def loop(self, index: int = 0, at: str | None = None, channel: int | str | None = None, pade: int | None = None) -> Any:
+    def systems(self, pade: int | None = None) -> Iterator[StateSpace]:
+        """``system`` at each of the m times, one after the other."""
+        from mfc_analysis.linearization.exported import closed_model
+
+        every = self._without_wire_delay(self.opened, pade)
+        return (closed_model(every.at(slice(i, i + 1))) for i in range(len(self)))
+
+    def loop(self, index: int = 0, at: str | None = None, channel: int | str | None = None, pade: int | None = None) -> StateSpace:
         """L(s) at one time, opened at ``at`` in one channel (default: the first), the others closed; negative feedback. ``pade`` as ``system``.
 
         Returns a ``control.StateSpace`` with one input and output. Raises UnknownPoint, and UnknownName for an unknown channel.
@@ -242,14 +253,21 @@ class Linearization:
         from mfc_analysis.linearization.exported import loop_model
 
         at = self._at(at)
-        return loop_model(self._alone(self.opened_for(at), index, pade, at), at, channel)
+        return loop_model(self._without_wire_delay(self._alone(self.opened_for(at), index), pade, at), at, channel)
 
-    def _alone(self, system: OpenSystem, index: int, pade: int | None, at: str | None = None) -> OpenSystem:
+    def _alone(self, system: OpenSystem, index: int) -> OpenSystem:
+        i = self._index(index)
+        return system.at(slice(i, i + 1))
+
+    def _without_wire_delay(self, system: OpenSystem, pade: int | None, at: str | None = None) -> OpenSystem:
         from mfc_analysis.analysis.pade import with_pade
 
-        i = self._index(index)
-        one = system.at(slice(i, i + 1))
-        return one if pade is None else with_pade(one, pade, at)
+        if pade is not None:
+            return with_pade(system, pade, at)
+        if self._late:
+            late = f"the dead time, {self.equations.hardware.dead_time}, is left out"
+            warnings.warn(f"{late}: pade=5 approximates it; lin.frd and lin.margins include it exactly", MfcWarning, stacklevel=3)
+        return system
 
     @property
     def _late(self) -> bool:
@@ -290,12 +308,12 @@ class Linearization:
         at = self._at(at)
         return frequency_response(self.opened_for(at), w, at)
 
-    def frd(self, frequencies: ArrayLike, at: str | None = None, channel: int | str | None = None, index: int = 0) -> Any:
+    def frd(self, frequencies: ArrayLike, at: str | None = None, channel: int | str | None = None, index: int = 0) -> FrequencyResponseData:
         """L(jw) at w [rad/s] of one channel at one time as ``control.FrequencyResponseData``, dead time included. Raises as ``loop``."""
         from mfc_analysis.linearization.exported import measured_model
 
         at = self._at(at)
-        return measured_model(self._alone(self.opened_for(at), index, None), checks.frequencies(frequencies), at, channel)
+        return measured_model(self._alone(self.opened_for(at), index), checks.frequencies(frequencies), at, channel)
 
     def step(
         self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None, *, times: ArrayLike | None = None
@@ -359,7 +377,7 @@ class Linearization:
         t = self.times
         when = f"t = {t[0]:g} s" if len(t) == 1 else f"{len(t)} times from {t[0]:g} to {t[-1]:g} s"
         kind = f"discrete, dt = {self.dt:g} s" if self.dt else "continuous"
-        late = " and ".join(f"{T:g} s{of}" for T, of in ((self.delay, ""), (self.force_delay, " of the force sensor")) if T)
+        late = self.equations.hardware.dead_time
         return (
             f"{self.equations.law} on {self.equations.robot.name}, linearised at {when} "
             f"({kind}; coordinates {self.coordinates!r})\n"

@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, warn_near_singular
-from mfc_analysis.dynamics.jacobians import closed_matrix
+from mfc_analysis.dynamics.jacobians import closed_matrix, external
 from mfc_analysis.dynamics.operating_point import OperatingPoint
 from mfc_analysis.errors import BadArgument, MfcError, Unsupported
 from mfc_analysis.maths import checks
@@ -25,6 +26,9 @@ from mfc_analysis.simulation.delayed import run_with_dead_time
 from mfc_analysis.simulation.run import FAR, DenseOutput, Disturbance, Outcome, Run, bounded, most_evaluations
 from mfc_analysis.simulation.sampled import run_sampled
 from mfc_analysis.simulation.touching import Event
+
+if TYPE_CHECKING:
+    from control import TimeResponseData
 
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
 SHORTEST = 1e-9  #: [s] shortest run; a shorter one raises BadArgument
@@ -50,6 +54,7 @@ class Simulation:
     state_names: tuple[str, ...]
     path: DenseOutput = field(repr=False)
     evaluations: int = 0  #: of the equations: the work of the run, as ``max_evaluations`` counts it
+    output_names: tuple[str, ...] = ()  #: of ``response``, as those of the linearised loop
     arrived: Callable[[float], Array] | None = field(default=None, repr=False)  #: with dead time or sampling: t -> (n,) command at the joints
 
     @property
@@ -73,6 +78,17 @@ class Simulation:
         """The run as operating points at times (m,) [s], to linearise along. Raises BadArgument outside the run."""
         times = checks.times(times)
         return OperatingPoint(times, self.state(times), np.zeros((len(times), self.q.shape[1])))
+
+    @property
+    def response(self) -> TimeResponseData:
+        """The run for python-control: outputs q, error, command (and F_tip with a surface) (ny, k), states (nx, k), named as in ``lin.system``."""
+        from control import TimeResponseData
+
+        force = any(name.startswith("F_tip") for name in self.output_names)
+        y = np.concatenate([self.q, self.error, self.command, *([self.force] if force else [])], axis=1)
+        return TimeResponseData(
+            self.t, y.T, self.x.T, output_labels=list(self.output_names), state_labels=list(self.state_names), title="Simulation", issiso=False
+        )
 
     def __str__(self) -> str:
         return f"simulation from {self.t[0]:g} to {self.t[-1]:g} s, {len(self.t)} samples, {len(self.events)} contact events: {self.message}"
@@ -200,7 +216,7 @@ def _gathered(run: Run, asked: Array) -> Simulation:
     events = tuple(sorted(run.events, key=lambda event: event.time))
     return Simulation(
         t, x, q, v, tau, command, np.array(value(flow.error)), twist, np.array(value(flow.F_tip)), events,
-        run.outcome, run.message, e.state_names, run.path, round(run.spent), run.arrived,
+        run.outcome, run.message, e.state_names, run.path, round(run.spent), external(e).outputs, run.arrived,
     )  # fmt: skip
 
 

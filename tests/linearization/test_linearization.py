@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import control
 import numpy as np
 import pytest
@@ -110,8 +112,17 @@ def test_step_responses_are_those_of_python_control() -> None:
     pushed = lin.step(0, "disturbance_joint", "q_joint")
     assert_allclose(pushed.steady_state, 0.0, atol=1e-9)  # the integral takes it
     assert_allclose(lin.step(0, 0, 0).y, found.y)
+    ours = found.response
+    assert isinstance(ours, control.TimeResponseData) and (ours.input_labels, ours.output_labels) == (["q_d_joint"], ["q_joint"])
+    for name in ("time", "outputs", "inputs"):
+        assert_allclose(getattr(ours, name), getattr(reference, name), atol=1e-6)
     t = np.linspace(0.0, 1.0, 11)
     every = lin.steps(t)
+    (one,), theirs = every.responses, control.step_response(lin.system(0), T=t)
+    assert (one.input_labels, one.output_labels, one.issiso) == (theirs.input_labels, theirs.output_labels, False)
+    assert_allclose(one.y, theirs.y, atol=1e-6)
+    assert_allclose(one.u, theirs.u)
+    assert_allclose(control.step_info(one.y[0, 0], t)["PeakTime"], control.step_info(theirs.y[0, 0], t)["PeakTime"])
     assert every.y.shape == (1, len(lin.output_names), len(lin.input_names), 11) and every.outputs == lin.output_names
     assert_allclose(every.y[0], control.step_response(lin.system(0), T=t).outputs, atol=1e-6)
     assert_allclose(lin.step(0, "q_d_joint", "q_joint", times=t).y, every[0, "q_joint", "q_d_joint"].y, atol=1e-12)
@@ -199,6 +210,9 @@ def test_a_point_that_is_no_name_is_refused(at: object) -> None:
 def test_indices_count_from_either_end() -> None:
     lin = ClosedLoop(arm("ur5"), L.JointPID(300.0, 50.0, 60.0), moving("ur5")).linearize(T)
     assert_allclose(lin.system(-1).A, lin.A[2])
+    for model, A, B in zip(lin.systems(), lin.A, lin.B, strict=True):
+        assert_allclose(model.A, A)
+        assert_allclose(model.B, B)
     assert_allclose(lin.loop(-1).A, lin.loop(2).A)
     assert lin.loop(0, channel="elbow_joint").input_labels == ["torque_elbow_joint_in"]
 
@@ -232,9 +246,15 @@ def test_what_is_handed_to_python_control_without_its_dead_time_says_so(hardware
     """A sampled loop includes it: nothing is left out there."""
     lin = ClosedLoop(robots.planar_2r(), L.ComputedTorque(100.0, kd=20.0), Hold([0.2, 0.4]), hardware=Hardware(**hardware)).linearize()
     late = hardware == {"delay": 0.02}
-    for given in (lin.system(0), lin.loop(0, channel=1)):
-        assert ("without_dead_time" in given.name) is late
-    assert lin.loop(0, channel=1).name.startswith("L_torque_joint2")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        given = [lin.system(0), lin.loop(0, channel=1), *lin.systems()]
+    assert given[1].name.startswith("L_torque_joint2") and all(("without_dead_time" in one.name) is late for one in given)
+    assert [(str(w.message).startswith("the dead time, 0.02 s, is left out"), w.filename) for w in said] == [(True, __file__)] * (3 * late)
+    if not lin.dt:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert len([lin.system(0, pade=3), lin.loop(0, pade=3), *lin.systems(pade=3), lin.frd([1.0])]) == 4
     assert ("without dead time" in str(lin)) is late and ("dead time 0.02 s" in str(lin)) is late
 
 
