@@ -21,8 +21,8 @@ FLOORS: dict[str, set[str]] = {
     "robots": {"maths"},
     "trajectories": {"robots", "maths"},
     "laws": {"robots", "maths"},
-    "analysis": {"maths", "notebook"},
-    "gains": {"analysis", "robots", "maths", "notebook", "units"},
+    "analysis": {"maths", "notebook", "plots"},
+    "gains": {"analysis", "robots", "maths", "notebook", "plots", "units"},
 }
 FLOORS["dynamics"] = {"trajectories", "laws", *FLOORS["gains"]} | {"gains"}
 FLOORS["simulation"] = FLOORS["dynamics"] | {"dynamics"}

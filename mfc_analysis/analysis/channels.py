@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mfc_analysis.analysis.system import OpenSystem
-from mfc_analysis.errors import UnknownPoint
+from mfc_analysis.errors import UnknownName, UnknownPoint
+from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Ints
 
 
@@ -46,6 +47,15 @@ def point_wires(system: OpenSystem, at: str) -> slice:
     if at not in system.points or at not in system.wires:
         raise UnknownPoint(str(at), system.law, system.points)
     return system.wires[at]
+
+
+def channel_number(channel: int | str, names: tuple[str, ...]) -> int:
+    """The number of a channel given by its number or name. Raises ``BadArgument`` and ``UnknownName``."""
+    if isinstance(channel, str):
+        if channel not in names:
+            raise UnknownName("channel", channel, names)
+        return names.index(channel)
+    return checks.whole("channel", channel, 0, len(names) - 1, f"an integer from 0 to {len(names) - 1} or one of {', '.join(names)}")
 
 
 def has_rate(system: OpenSystem, at: str) -> bool:

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,9 @@ from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools
+
+if TYPE_CHECKING:
+    from mfc_analysis.plots.figure import Axes
 
 EXACT = 1e-6  #: relative gap between the bounds of mu below which alpha counts as exact
 CHUNK = 200_000  #: complex numbers of the resolvents at a time
@@ -94,6 +98,18 @@ class DiskMargin:
         k = int(np.nanargmin(self.alpha))
         return float(self.alpha[k]), float(self.times[k]), float(self.frequency[k])
 
+    def plot(self, index: int | None = None, *, ax: Axes | None = None) -> Axes:
+        """The disk of factors f that all loops at once may have, at one point, or the tightest: f = 1 is the loop as it is.
+
+        ``ax``: to draw in; None: a new figure of pyplot. Raises BadArgument for an index beyond the m points.
+        """
+        from mfc_analysis import plots
+
+        m = len(self.times)
+        k = int(np.argmin(np.nan_to_num(self.alpha, nan=np.inf))) if index is None else checks.whole("index", index, -m, m - 1) % m
+        gain, title = (float(self.gain_reduction[k]), float(self.gain_increase[k])), f"All loops at {' and '.join(self.at)}, t = {self.times[k]:g} s"
+        return plots.disk(gain, float(self.phase_deg[k]), alpha=float(self.alpha[k]), title=title, ax=plots.shown("disc", ax)[0])
+
     def __str__(self) -> str:
         alpha, time, w = self.worst()
         where = f"disk margin at {' and '.join(self.at)}, {len(self.channels)} channels at once"
@@ -118,6 +134,14 @@ class SingularValues:
     channels: tuple[str, ...]  #: (k,) names
     S: Array  #: (m, nf, k)
     T: Array  #: (m, nf, k)
+
+    def plot(self, index: int = 0, *, ax: Axes | None = None) -> Axes:
+        """The largest singular values of S and T at one point over frequency. ``ax``: to draw in; None: a new figure of pyplot."""
+        from mfc_analysis import plots
+
+        lines = [(name, values[index, :, 0]) for name, values in (("S", self.S), ("T", self.T))]
+        axes = plots.shown("map", ax)[0]
+        return plots.curves(self.frequencies, lines, xlabel="ω [rad/s]", ylabel="largest singular value [-]", log="xy", limit=1.0, ax=axes)
 
 
 def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayLike | None = None) -> DiskMargin:

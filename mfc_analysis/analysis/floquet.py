@@ -15,12 +15,15 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mfc_analysis.errors import BadArgument, NotConverged
 from mfc_analysis.maths.arrays import Array, Complex
+
+if TYPE_CHECKING:
+    from mfc_analysis.plots.figure import Axes
 
 PeriodMap = Callable[[Array], tuple[Array, Array]]
 
@@ -65,6 +68,12 @@ class Floquet:
         """Whether every disturbance decays (except neutral ones, as for frozen-time poles)."""
         return self.verdict in (FloquetVerdict.STABLE, FloquetVerdict.NEUTRAL)
 
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """The multipliers and the unit circle. ``ax``: to draw in; None: a new figure of pyplot."""
+        from mfc_analysis import plots
+
+        return plots.multipliers(self.multipliers, title=f"Floquet multipliers, T = {self.period:.4g} s", ax=plots.shown("disc", ax)[0])
+
     def __str__(self) -> str:
         worst = self.multipliers[np.argmin(np.abs(np.abs(self.multipliers) - self.growth))]
         return (
@@ -97,6 +106,13 @@ class TransientGrowth:
 
     def __float__(self) -> float:
         return self.largest
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """The largest singular value against time. ``ax``: to draw in; None: a new figure of pyplot."""
+        from mfc_analysis import plots
+
+        series = [("largest singular value", self.singular)]
+        return plots.curves(self.times, series, xlabel="t [s]", ylabel="growth of a disturbance [-]", ax=plots.shown("map", ax)[0])
 
     def __str__(self) -> str:
         return f"a disturbance grows by at most a factor {self.largest:.4g}, at t = {self.time:.4g} s; at the end {self.singular[-1]:.4g}"

@@ -13,7 +13,7 @@ abs(s) < 1/horizon to the right (``arc``).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ from mfc_analysis.analysis.spectrum import rates, spectrum
 from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.maths.arrays import Array, Bools
+
+if TYPE_CHECKING:
+    from mfc_analysis.plots.figure import Axes
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,20 @@ class Margins:
             sensitivity_peak=pick(self.sensitivity_peak, True),
             unstable=tuple(float(t) for t in self.times[~self.stable]),
         )
+
+    def plot(self, metric: str = "phase_deg", *, asked: float | None = None, ax: Axes | None = None) -> Axes:
+        """One metric against time, a line for each channel; at a single time a mark for each channel.
+
+        Args:
+            metric: "phase_deg", "gain_increase_db", "gain_reduction_db", "delay" (drawn in ms) or "sensitivity_peak".
+            asked: a required value in the unit of the metric (a delay in s), drawn dashed. ax: to draw in; None: a new figure of pyplot.
+
+        Raises UnknownName for another metric.
+        """
+        from mfc_analysis import plots
+
+        plots.metric_values(self, metric)  # raises before there is a figure
+        return plots.margins(self, metric=metric, asked=asked, title=f"Margins at {self.at}", ax=plots.shown("time history", ax)[0])
 
     def __str__(self) -> str:
         m = len(self.times)

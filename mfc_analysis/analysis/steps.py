@@ -32,6 +32,8 @@ from mfc_analysis.maths.checks import number, times as checked_times
 if TYPE_CHECKING:
     from control import TimeResponseData
 
+    from mfc_analysis.plots.figure import Axes
+
 MOST_SAMPLES = 60_000_000  #: of a sampled loop
 DIED = 14.0  #: time constants of the slowest characteristic root in a run with dead time,
 ROOTS = 8  #: of those that are looked at
@@ -64,6 +66,16 @@ class Step:
     undershoot: float  #: fraction of the final value by which the response first moves in the wrong direction
     peak: float  #: largest |y|, the final value where that is never exceeded; NaN where it does not settle
     peak_time: float  #: [s]; inf where the response comes nearest to its peak at the end
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """The response with its final value and settling band. ``ax``: to draw in; None: a new figure of pyplot."""
+        from mfc_analysis import plots
+
+        settles = self.outcome is Outcome.SETTLES
+        target = self.steady_state if settles else None
+        band = self.settling_band * (abs(self.steady_state) or self.peak) if settles else None
+        title = f"Unit step of {self.input}, t = {self.time:g} s"
+        return plots.step(self.t, self.y, target=target, band=band, quantity=self.output, title=title, axes=plots.shown("response", ax))[0]
 
     @property
     def response(self) -> TimeResponseData:
@@ -165,6 +177,19 @@ class Steps:
         y = self.y[i, o, j] if "y" in self.__dict__ else step_samples(between(self.system.at(np.array([i])), [j], [o]), self.t)[0, 0, 0]
         metrics = {name: values[i, o, j] for name, values in self._metrics.items()}
         return Step(self.t, y, self.inputs[j], self.outputs[o], float(self.times[i]), settling_band=self.settling_band, **metrics)
+
+    def plot(self, output: int | str = 0, input: int | str = 0, *, ax: Axes | None = None) -> Axes:
+        """The responses of one output to one input at all m points, that with the longest settling time in colour.
+
+        ``ax``: to draw in; None: a new figure of pyplot. Raises ``BadArgument`` and ``UnknownName`` as an index does.
+        """
+        from mfc_analysis import plots
+
+        o, j = _number("output", output, self.outputs), _number("input", input, self.inputs)
+        worst = int(np.argmax(np.nan_to_num(self.settling[:, o, j], nan=np.inf)))
+        title, axes = f"Unit step of {self.inputs[j]}", plots.shown("response", ax)[0]
+        when = float(self.times[worst])
+        return plots.responses(self.t, self.y[:, o, j], worst=worst, worst_time=when, quantity=self.outputs[o], title=title, ax=axes)
 
     @property
     def responses(self) -> tuple[TimeResponseData, ...]:

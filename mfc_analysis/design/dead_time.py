@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,9 @@ from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools
+
+if TYPE_CHECKING:
+    from mfc_analysis.plots.figure import Axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +33,13 @@ class DelayMap:
     def stable(self) -> Bools:
         """(g, d)."""
         return np.asarray(self.growth < 0)
+
+    def plot(self, ylabel: str = "value", *, ax: Axes | None = None) -> Axes:
+        """The region of stability; ``ylabel``: the second quantity, with its unit. ``ax``: to draw in; None: a new figure of pyplot."""
+        from mfc_analysis import plots
+
+        axes, log = plots.shown("map", ax)[0], plots.log_axes(self.delays, self.values)
+        return plots.stability_map(self.delays, self.values, self.growth, xlabel="dead time [s]", ylabel=ylabel, log=log, ax=axes)
 
 
 def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0, *, horizon: float = HORIZON) -> Array:

@@ -26,6 +26,7 @@ from mfc_analysis.maths.arrays import Array, Bools, Complex
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.plots.figure import Axes
 
 
 _APART = (1e3, 2e3)  #: [N/m] the two stiffnesses that are linearised: of a typical order, so that rounding stays small
@@ -57,6 +58,13 @@ class StiffnessSweep:
     def growth(self) -> Array:
         """(k,) [1/s] largest real part of the roots that are not slow, dead time included; ln|z| / dt for a sampled loop; NaN: every root is slow."""
         return growth(self.opened)
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """The growth of the slowest root that counts, over stiffness: unstable above 0. ``ax``: to draw in; None: a new figure of pyplot."""
+        from mfc_analysis import plots
+
+        x, y = "stiffness [N/m]", "largest real part of the roots [1/s]"
+        return plots.curves(self.stiffness, [("", self.growth)], xlabel=x, ylabel=y, log="x", limit=0.0, ax=plots.shown("map", ax)[0])
 
     def margins(self, at: str = "force") -> Margins:
         """Margins at each stiffness: (k, n) metrics. Raises UnknownPoint."""
@@ -120,6 +128,21 @@ class StabilityMap:
     def stable(self) -> Bools:
         """(g, k)."""
         return np.asarray(self.growth < 0)
+
+    def plot(self, ylabel: str = "value", *, ax: Axes | None = None) -> Axes:
+        """The region of stability; ``ylabel``: the second quantity, with its unit. ``ax``: to draw in; None: a new figure of pyplot."""
+        from mfc_analysis import plots
+
+        axes = plots.shown("map", ax)[0]
+        return plots.stability_map(
+            self.stiffness,
+            self.values,
+            self.growth,
+            xlabel="stiffness [N/m]",
+            ylabel=ylabel,
+            log=plots.log_axes(self.stiffness, self.values),
+            ax=axes,
+        )
 
     def boundary(self) -> Array:
         """(g,) [N/m] the lowest stiffness at which the loop loses stability, interpolated; inf: nowhere; NaN: unstable at the first stiffness."""

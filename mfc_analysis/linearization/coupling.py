@@ -15,6 +15,7 @@ from mfc_analysis.maths.arrays import Array
 
 if TYPE_CHECKING:
     from mfc_analysis.linearization.linearization import Linearization
+    from mfc_analysis.plots.figure import Axes
 
 
 def leak(rows: ArrayLike | constraints.ConstraintSet, Lambda: ArrayLike, projection: Literal["dynamic", "selection"] = "dynamic") -> Array:
@@ -47,6 +48,13 @@ class Coupling:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     gain: Array  #: (m, nf) largest singular value, in units of outputs per input
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """The gain over frequency, a line for each of the m times. ``ax``: to draw in; None: a new figure of pyplot."""
+        from mfc_analysis import plots
+
+        lines = [("", row) for row in self.gain]
+        return plots.curves(self.frequencies, lines, xlabel="ω [rad/s]", ylabel="coupling gain", log="xy", ax=plots.shown("map", ax)[0])
 
     def peak(self) -> tuple[float, float]:
         """Largest gain over all times and frequencies, and its frequency [rad/s]."""

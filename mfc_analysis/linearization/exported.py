@@ -6,11 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mfc_analysis.analysis.channels import channels, has_rate, point_wires
+from mfc_analysis.analysis.channels import channel_number, channels, has_rate, point_wires
 from mfc_analysis.analysis.frequency.response import frequency_response
 from mfc_analysis.analysis.system import OpenSystem, close_wires
-from mfc_analysis.errors import UnknownName
-from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 
 if TYPE_CHECKING:
@@ -34,7 +32,7 @@ def loop_model(system: OpenSystem, at: str, channel: int | str | None) -> StateS
 
     wires = point_wires(system, at)
     names = system.wire_names[wires]
-    j = _number(channel, names)
+    j = 0 if channel is None else channel_number(channel, names)
     cut = np.arange(system.nw) == wires.start + j
     rate = system.wires["rate"].start + j if has_rate(system, at) else None
     if rate is not None:
@@ -57,7 +55,7 @@ def measured_model(system: OpenSystem, frequencies: Array, at: str, channel: int
     import control
 
     names = tuple(channels(system, at).names)
-    j = _number(channel, names)
+    j = 0 if channel is None else channel_number(channel, names)
     L = frequency_response(system, frequencies, at)[0, j]
     return control.frd(
         L, frequencies, inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"], name=f"L_{at}_{names[j]}".replace(".", "_"), smooth=False
@@ -67,13 +65,3 @@ def measured_model(system: OpenSystem, frequencies: Array, at: str, channel: int
 def _named(name: str, system: OpenSystem) -> str:
     """With what the model leaves out; python-control allows no full stop."""
     return f"{name}{'_without_dead_time' if system.delayed else ''}".replace(".", "_")
-
-
-def _number(channel: int | str | None, names: tuple[str, ...]) -> int:
-    if channel is None:
-        return 0
-    if isinstance(channel, str):
-        if channel not in names:
-            raise UnknownName("channel", channel, names)
-        return names.index(channel)
-    return checks.whole("channel", channel, 0, len(names) - 1, f"an integer from 0 to {len(names) - 1} or one of {', '.join(names)}")

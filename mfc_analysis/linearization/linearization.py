@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.floquet import TransientGrowth
     from mfc_analysis.analysis.margins import Margins
     from mfc_analysis.analysis.steps import Step, Steps
+    from mfc_analysis.plots.figure import Axes
 
 MANY_SAMPLES = 60  #: samples in transit above which the verdict counts roots instead of computing all of them
 
@@ -346,6 +347,33 @@ class Linearization:
         if self._late:
             raise Unsupported("hardware.delay", self.delay or self.force_delay, "a sample_time with it: without one Phi has infinite dimension")
         return transient_growth(self.times, self.dt, lambda times: self.again(times).A)
+
+    # --- pictures: dead time included; drawn with pyplot unless ``ax`` is given ------------------------------------
+
+    def plot_bode(
+        self, index: int = 0, at: str | None = None, channel: int | str | None = None, *, ax: Axes | tuple[Axes, Axes] | None = None
+    ) -> Axes:
+        """Bode plot of L(jw) at one time with its margins, opened at ``at``; ``channel`` None: the one with the smallest phase margin.
+
+        ``ax``: two Axes for magnitude and phase, or one that is divided. Returns that of the magnitude. Raises as ``loop``.
+        """
+        from mfc_analysis.linearization.pictures import bode
+
+        at = self._at(at)
+        return bode(self._alone(self.opened_for(at), index), at, channel, ax)
+
+    def plot_nyquist(self, index: int = 0, at: str | None = None, channel: int | str | None = None, *, ax: Axes | None = None) -> Axes:
+        """Nyquist plot of L(jw) with its margins and the disk of radius 1/Ms about -1. Arguments as ``plot_bode``."""
+        from mfc_analysis.linearization.pictures import nyquist
+
+        at = self._at(at)
+        return nyquist(self._alone(self.opened_for(at), index), at, channel, ax)
+
+    def plot_poles(self, index: int = 0, *, damping: float | None = None, ax: Axes | None = None) -> Axes:
+        """Closed-loop poles at one time; with dead time its rightmost roots, exact. ``damping``: a damping ratio to be drawn as a ray."""
+        from mfc_analysis.linearization.pictures import poles
+
+        return poles(self._alone(self.opened, index), damping, ax)
 
     # --- many points ---------------------------------------------------------------------------------------------
 

@@ -57,6 +57,10 @@ def disk(
     """
     low, high = gain
     ax = ax if ax is not None else sheet.axes_for("disc")
+    if np.isnan(alpha):
+        sheet.empty(ax, "no disk margin: not stable")
+        sheet.label(ax, title=title)
+        return ax
     turn = np.linspace(0, 2 * np.pi, 181)
     ax.plot(np.cos(turn), np.sin(turn), color=sheet.GREY, linewidth=0.7, linestyle=":")
     right = 2.6 if not np.isfinite(high) else max(1.6, min(high * 1.15, 6.0))

@@ -1,7 +1,7 @@
 """Layout of figures: fixed rectangles per kind of figure, colours of joints, reproducible SVG.
 
-``Figure`` without pyplot: no global state. Constrained or tight layout would double the time, so each kind has its axes at fixed positions [inch];
-a test checks that no text leaves the sheet.
+``Figure`` without pyplot: no global state; only ``shown`` registers one with pyplot, for ``plt.show()`` and notebooks. Constrained or tight layout
+would double the time, so each kind has its axes at fixed positions [inch]; a test checks that no text leaves the sheet.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ GREY, GRID, SHADE = "#6b7280", "#d5d9de", "#fbeee4"
 INK = "#000000"
 
 _SMALL, _TEXT = 7.5, 8.0  # [pt]
+_LETTER = 0.075  # [inch] of a title, about
+_SHORTEST = 5  # letters of a shortened name in a legend
+_DOTS = 150  # per inch on a screen
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,7 @@ SHEETS: dict[str, Sheet] = {
     "nyquist": Sheet((2.75, 3.3), ((0.52, 0.44, 2.11, 2.6),)),
     "pole map": Sheet((3.1, 3.1), ((0.62, 0.44, 2.36, 2.4),)),
     "step": _stack(3.4, 2, 1.1, left=0.66),
+    "response": _stack(3.4, 1, 1.9, left=0.66),
     "map": Sheet((3.4, 2.9), ((0.68, 0.46, 2.58, 2.16),)),
     "arm": Sheet((3.1, 3.1), ((0.56, 0.44, 2.42, 2.42),)),
     "disc": Sheet((3.1, 3.1), ((0.56, 0.44, 2.42, 2.42),)),
@@ -73,9 +77,21 @@ def panels_for(kind: str) -> tuple[Axes, ...]:
 
     if kind not in SHEETS:
         raise UnknownName("kind", kind, SHEETS)
+    return _laid_out(Figure(figsize=SHEETS[kind].size, facecolor="none"), kind)
+
+
+def shown(kind: str, ax: Axes | None = None) -> tuple[Axes, ...]:
+    """The given axes alone, or those of a new sheet of this kind that is registered with pyplot, top first."""
+    if ax is not None:
+        return (ax,)
+    from matplotlib import pyplot
+
+    return _laid_out(pyplot.figure(figsize=SHEETS[kind].size, dpi=_DOTS), kind)
+
+
+def _laid_out(figure: Figure, kind: str) -> tuple[Axes, ...]:
     sheet = SHEETS[kind]
     width, height = sheet.size
-    figure = Figure(figsize=sheet.size, facecolor="none")
     axes = tuple(figure.add_axes((x / width, y / height, w / width, h / height)) for x, y, w, h in sheet.panels)
     for ax in axes:
         _dress(ax)
@@ -135,20 +151,24 @@ def note(
 
 
 def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = False) -> None:
-    """A legend without a frame; ``above``: in one line above the axes, at the right, with names shortened to fit the sheet."""
+    """A legend without a frame; ``above``: in one line above the axes, right of its title, with shortened names if these remain readable."""
     handles, labels = ax.get_legend_handles_labels()
     if not handles:
         return
     place: dict[str, Any] = {"loc": where}
     if above:
-        labels, columns = fitting(labels, float(figure_of(ax).get_figwidth()) - 0.3), len(labels)
+        box, width = ax.get_position(original=True), float(figure_of(ax).get_figwidth())
+        room = min(box.x1 * width - 0.18, box.width * width + 0.52)
+        short = fitting(labels, room - _LETTER * len(ax.get_title(loc="left")))
+        above = short == labels or (len(labels) > 1 and min(map(len, short)) >= min(_SHORTEST, *map(len, labels)))
+        labels, columns = (short, len(labels)) if above else ([x.removesuffix("_joint") for x in labels], 1 + (len(labels) > 3))
+    if above:
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
-    found = ax.legend(handles, labels, ncols=columns, fontsize=_SMALL, frameon=False, handlelength=1.4, columnspacing=0.9, handletextpad=0.4, **place)
-    found.set_in_layout(False)
+    ax.legend(handles, labels, ncols=columns, fontsize=_SMALL, frameon=False, handlelength=1.4, columnspacing=0.9, handletextpad=0.4, **place)
 
 
 def fitting(labels: Sequence[str], room: float) -> list[str]:
-    """Labels of a legend in one line of ``room`` [inch]: a common suffix of the joints is removed first, then the ends of the longest.
+    """Labels of a legend in one line of ``room`` [inch]: what is common to the names of the joints is removed first, then the ends of the longest.
 
     If shortened names are no longer unique (LWristRoll, LWristYaw), the middles are removed instead.
     """
@@ -156,6 +176,10 @@ def fitting(labels: Sequence[str], room: float) -> list[str]:
     letters = int((room - 0.32 * len(out)) / 0.065)
     if sum(map(len, out)) > letters and sum(x.endswith("_joint") for x in out) > 1:
         out = [x.removesuffix("_joint") for x in out]
+    if sum(map(len, out)) > letters and len(out) > 1:
+        common = next((i for i, same in enumerate(zip(*out, strict=False)) if len(set(same)) > 1), 0)
+        start = out[0][:common].rfind("_") + 1
+        out = [x[start:] for x in out]
     sizes = [len(x) for x in out]
     while sum(sizes) > letters and max(sizes) > 3:
         sizes[sizes.index(max(sizes))] -= 1

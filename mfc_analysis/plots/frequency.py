@@ -69,6 +69,24 @@ def bode(
     return upper, lower
 
 
+def two_axes(ax: Axes | tuple[Axes, Axes] | None) -> tuple[Axes, Axes]:
+    """Axes for ``bode``: those given, the upper and lower half of one, or those of a new sheet registered with pyplot."""
+    if isinstance(ax, tuple):
+        return ax
+    if ax is None:
+        upper, lower = sheet.shown("bode")
+        return upper, lower
+    figure, spec = ax.get_figure(root=False), ax.get_subplotspec()
+    assert figure is not None
+    if spec is not None:
+        above, below = spec.subgridspec(2, 1, hspace=0.12)
+        ax.set_subplotspec(above)
+        return ax, figure.add_subplot(below)
+    box = ax.get_position(original=True)
+    ax.set_position((box.x0, box.y0 + 0.53 * box.height, box.width, 0.47 * box.height))
+    return ax, figure.add_axes((box.x0, box.y0, box.width, 0.47 * box.height))
+
+
 def _phase_ticks(ax: Axes, phase: Array) -> None:
     from matplotlib.ticker import MultipleLocator
 

@@ -64,6 +64,11 @@ def stability_map(
     return ax
 
 
+def log_axes(x: ArrayLike, y: ArrayLike) -> str:
+    """Which of two axes of positive values, (nx,) and (ny,), are to be logarithmic: those over more than a decade."""
+    return "".join(name for name, a in (("x", np.asarray(x, float)), ("y", np.asarray(y, float))) if a.min() > 0 and a.max() > 10 * a.min())
+
+
 def _mark(ax: Axes, points: Sequence[tuple[float, float, bool]]) -> None:
     for stable, marker, color, name in ((True, "o", sheet.GOOD, "simulated: settles"), (False, "X", sheet.BAD, "simulated: diverges")):
         kept = [(a, b) for a, b, good in points if bool(good) is stable]

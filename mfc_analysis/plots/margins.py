@@ -37,7 +37,7 @@ def metric_values(found: Any, metric: str) -> Array:
     return np.asarray(getattr(found, metric), float) * (1e3 if metric == "delay" else 1.0)
 
 
-def margins(found: Any, *, metric: str = "phase_deg", asked: float | None = None, ax: Axes | None = None) -> Axes:
+def margins(found: Any, *, metric: str = "phase_deg", asked: float | None = None, title: str = "", ax: Axes | None = None) -> Axes:
     """One metric of a ``Margins`` against time, one line per channel, with the worst value marked.
 
     Args:
@@ -45,33 +45,39 @@ def margins(found: Any, *, metric: str = "phase_deg", asked: float | None = None
             is no limit (stated, not drawn).
         metric: "phase_deg", "gain_increase_db", "gain_reduction_db", "delay" (drawn in ms, ``asked`` in s) or "sensitivity_peak".
     """
-    alone = ax is None
     ax = ax if ax is not None else sheet.axes_for("time history")
+    _history(ax, found, metric, asked)
+    sheet.label(ax, title=title)
+    if len(found.channels) > 1 and len(found.times) > 1:
+        sheet.legend(ax, above=True)
+    return ax
+
+
+def _history(ax: Axes, found: Any, metric: str, asked: float | None) -> None:
     values = metric_values(found, metric)
     times = np.asarray(found.times, float)
-    shown = np.where(np.isfinite(values), values, np.nan)
+    shown, alone = np.where(np.isfinite(values), values, np.nan), times.size == 1
+    across = np.arange(values.shape[1], dtype=float)[None] if alone else np.repeat(times[:, None], values.shape[1], axis=1)
     for j, name in enumerate(found.channels):
         if np.isnan(shown[:, j]).all():
             continue
-        ax.plot(times, shown[:, j], color=sheet.colour(j), linewidth=1.3, label=str(name), marker="o" if times.size == 1 else None, markersize=3.5)
+        ax.plot(across[:, j], shown[:, j], color=sheet.colour(j), linewidth=1.3, label=str(name), marker="o" if alone else None, markersize=4.5)
     if asked is not None and np.isfinite(asked):
         ax.axhline(asked * (1e3 if metric == "delay" else 1.0), color=sheet.LIMIT, linewidth=1.0, linestyle="--", zorder=1.5)
     _unstable(ax, times, np.asarray(found.stable, bool))
-    _worst(ax, times, shown, high=metric in _TIGHTEST)
-    if times.size > 1:
-        ax.set_xlim(times[0], times[-1])
+    _worst(ax, across, shown, high=metric in _TIGHTEST)
+    if alone:
+        ax.set_xlim(-0.5, values.shape[1] - 0.5)
+        room = ax.get_position(original=True).width * float(sheet.figure_of(ax).get_figwidth())
+        ax.set_xticks(across[0], sheet.fitting(found.channels, room - 0.1))
     else:
-        ax.set_xlim(times[0] - 1, times[0] + 1)
-        ax.set_xticks([times[0]])
+        ax.set_xlim(times[0], times[-1])
     if np.isnan(shown).all():
         said = "no limit at any time" if np.isposinf(values).any() else "unstable at every time"
         sheet.empty(ax, said)
     elif not np.isfinite(values[np.asarray(found.stable, bool)]).all():
         sheet.note(ax, "no line: no limit", (0.99, 0.93), color=sheet.GREY, ha="right", inside=True)
-    sheet.label(ax, "t [s]", _NAMES[metric])
-    if alone and len(found.channels) > 1:
-        sheet.legend(ax, above=True)
-    return ax
+    sheet.label(ax, f"t = {sheet.written(times[0])} s" if alone else "t [s]", _NAMES[metric])
 
 
 def margin_history(
@@ -91,15 +97,16 @@ def margin_history(
         raise UnknownName("metrics", len(metrics), map(str, kinds))
     axes = sheet.panels_for(kinds[len(metrics)])
     for ax, metric in zip(axes, metrics, strict=True):
-        margins(found, metric=metric, asked=(asked or {}).get(metric), ax=ax)
+        _history(ax, found, metric, (asked or {}).get(metric))
         ax.set_ylabel(
             _NAMES[metric].replace(" margin", "").replace("sensitivity peak [-]", "Ms [-]").replace(" increase", " up").replace(" reduction", " down")
         )
+    for ax in axes[:-1]:
         ax.set_xlabel("")
     sheet.hide_times(axes)
-    sheet.label(axes[-1], "t [s]")
     sheet.label(axes[0], title=title)
-    sheet.legend(axes[0], columns=8, above=True)
+    if len(found.times) > 1:
+        sheet.legend(axes[0], columns=8, above=True)
     return axes
 
 
@@ -120,14 +127,12 @@ def _unstable(ax: Axes, times: Array, stable: Bools) -> None:
             sheet.note(ax, "unstable", ((edges[first] + edges[last]) / 2, 0.9), color=sheet.BAD, ha="center", mixed=True)
 
 
-def _worst(ax: Axes, times: Array, values: Array, high: bool) -> None:
+def _worst(ax: Axes, across: Array, values: Array, high: bool) -> None:
     if np.isnan(values).all():
         return
     flat = np.nanargmax(values) if high else np.nanargmin(values)
     i, j = np.unravel_index(int(flat), values.shape)
-    ax.plot([times[i]], [values[i, j]], marker="o", markersize=5, markerfacecolor="none", markeredgecolor=sheet.BAD, markeredgewidth=1.2)
-    span = times[-1] - times[0]
-    right = span > 0 and (times[i] - times[0]) > 0.8 * span
-    sheet.note(
-        ax, sheet.written(values[i, j]), (times[i], values[i, j]), color=sheet.BAD, ha="right" if right else "left", shift=(-5 if right else 5, 4)
-    )
+    at, (low, top) = across[i, j], (across.min(), across.max())
+    ax.plot([at], [values[i, j]], marker="o", markersize=6, markerfacecolor="none", markeredgecolor=sheet.BAD, markeredgewidth=1.2)
+    right = top > low and at - low > 0.8 * (top - low)
+    sheet.note(ax, sheet.written(values[i, j]), (at, values[i, j]), color=sheet.BAD, ha="right" if right else "left", shift=(-6 if right else 6, 4))

@@ -21,6 +21,7 @@ def poles(
     discrete: bool = False,
     index: int = 0,
     title: str = "Closed-loop poles",
+    note: str = "",
     ax: Axes | None = None,
 ) -> Axes:
     """Poles in the complex plane.
@@ -28,6 +29,7 @@ def poles(
     Args:
         values: (nx,) complex [1/s], or in z if ``discrete``: then on linear axes with the unit circle.
         damping: a required damping ratio, drawn as a dashed ray; default: rays of 0.3 and 0.7. path: (m, nx) the poles at other times, in grey.
+        note: what the grey points are.
     """
     s = np.asarray(values, complex).ravel()
     ax = ax if ax is not None else sheet.axes_for("pole map")
@@ -42,6 +44,8 @@ def poles(
     for kept, color in ((good, sheet.colour(index)), (~good, sheet.BAD)):
         ax.plot(np.real(s)[kept], np.imag(s)[kept], linestyle="none", marker="x", markersize=6, markeredgewidth=1.5, color=color)
     unit = "" if discrete else " [1/s]"
+    if note:
+        sheet.note(ax, note, (0.02, 0.03), color=sheet.GREY, inside=True)
     sheet.label(ax, ("Re z" if discrete else "Re s") + unit, ("Im z" if discrete else "Im s") + unit, title)
     return ax
 

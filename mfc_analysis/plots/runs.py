@@ -39,6 +39,7 @@ def traces(
     title: str = "",
     said: tuple[str, str] | None = None,
     first: int = 0,
+    axes: tuple[Axes, ...] | None = None,
 ) -> tuple[Axes, ...]:
     """One to four stacked panels over time.
 
@@ -52,7 +53,7 @@ def traces(
     if not 1 <= len(panels) <= len(_KINDS):
         raise BadArgument("panels", len(panels), "one to four panels")
     time = np.asarray(t, float)
-    axes = sheet.panels_for(_KINDS[len(panels) - 1])
+    axes = sheet.panels_for(_KINDS[len(panels) - 1]) if axes is None else axes
     for ax, panel in zip(axes, panels, strict=True):
         _draw(ax, time, panel, names, first)
         for when, _ in events:

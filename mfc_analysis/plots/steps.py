@@ -28,14 +28,14 @@ def step(
     title: str = "Step response",
     axes: tuple[Axes, ...] | None = None,
 ) -> tuple[Axes, ...]:
-    """A step response and, below, its torque.
+    """A step response and, below, its torque where it is given.
 
     Args:
         t: (m,) [s], y: (m,) of the linear model. nonlinear: (t, y) of the simulated run. torque: (t, tau) [Nm], of the
-            nonlinear run, if given.
+            nonlinear run, if given; ``torque_limit`` [Nm] is drawn with both signs.
         target: the final value; band: half width of the settling band, in the unit of y.
     """
-    upper, lower = axes if axes is not None else sheet.panels_for("step")
+    upper, *below = axes if axes is not None else sheet.panels_for("response" if torque is None else "step")
     time = np.asarray(t, float)
     if target is not None:
         upper.axhline(target, color=sheet.INK, linewidth=0.7)
@@ -46,22 +46,32 @@ def step(
         upper.plot(
             np.asarray(nonlinear[0], float), np.asarray(nonlinear[1], float), color=sheet.INK, linewidth=1.1, linestyle="--", label="nonlinear"
         )
-    if torque is not None:
-        lower.plot(
-            np.asarray(torque[0], float),
-            np.asarray(torque[1], float),
-            color=sheet.colour(index),
-            linewidth=1.2,
-        )
-    else:
-        sheet.empty(lower, "not recorded", sheet.GREY)
-    if torque_limit is not None and np.isfinite(torque_limit):
-        for side in (1, -1):
+    for lower in below if torque is not None else ():
+        lower.plot(np.asarray(torque[0], float), np.asarray(torque[1], float), color=sheet.colour(index), linewidth=1.2)
+        for side in (1, -1) if torque_limit is not None and np.isfinite(torque_limit) else ():
             lower.axhline(side * torque_limit, color=sheet.INK, linewidth=0.8, linestyle=":")
-    for ax in (upper, lower):
+        sheet.label(lower, "", drive)
+    drawn = (upper, *below)
+    for ax in drawn:
         ax.set_xlim(time[0], time[-1])
-    sheet.hide_times((upper, lower))
+    sheet.hide_times(drawn)
     sheet.label(upper, "", quantity, title)
-    sheet.label(lower, "t [s]", drive)
-    sheet.legend(upper, columns=2, above=True)
-    return upper, lower
+    sheet.label(drawn[-1], "t [s]")
+    if len(upper.get_lines()) > 1 and nonlinear is not None:
+        sheet.legend(upper, columns=2, above=True)
+    return drawn
+
+
+def responses(
+    t: ArrayLike, y: ArrayLike, *, worst: int = 0, worst_time: float = 0.0, quantity: str = "q [rad]", title: str = "", ax: Axes | None = None
+) -> Axes:
+    """The responses y (m, k) at m times of a path over t (k,) [s], in grey; that of row ``worst`` in colour, with its time [s]."""
+    ax = ax if ax is not None else sheet.axes_for("response")
+    time, values = np.asarray(t, float), np.asarray(y, float)
+    for row in values:
+        ax.plot(time, row, color=sheet.GREY, linewidth=0.7, alpha=0.5)
+    ax.plot(time, values[worst], color=sheet.colour(0), linewidth=1.4, label=f"t = {sheet.written(worst_time)} s")
+    ax.set_xlim(time[0], time[-1])
+    sheet.label(ax, "t [s]", quantity, title)
+    sheet.legend(ax, above=True)
+    return ax

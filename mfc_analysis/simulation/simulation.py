@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, warn_near_singular
 from mfc_analysis.dynamics.jacobians import closed_matrix, external
 from mfc_analysis.dynamics.operating_point import OperatingPoint
-from mfc_analysis.errors import BadArgument, MfcError, Unsupported
+from mfc_analysis.errors import BadArgument, MfcError, UnknownName, Unsupported
+from mfc_analysis.laws.law import TWIST, WRENCH
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
@@ -30,6 +31,12 @@ from mfc_analysis.simulation.touching import Event
 if TYPE_CHECKING:
     from control import TimeResponseData
 
+    from mfc_analysis.plots.figure import Axes
+
+SIGNALS = {
+    "error": "error [rad, m]", "q": "q [rad, m]", "v": "v [rad/s, m/s]", "tau": "torque at the joints [Nm, N]", "command": "command [Nm, N]",
+    "twist": "twist [m/s, rad/s]", "force": "F_tip [N, Nm]",
+}  # fmt: skip
 METHODS = ("LSODA", "Radau", "BDF", "RK45", "RK23", "DOP853")
 SHORTEST = 1e-9  #: [s] shortest run; a shorter one raises BadArgument
 GRAIN = 1e-12  #: of a time (of 1 s where it is earlier), below which two times of a run count as one
@@ -78,6 +85,28 @@ class Simulation:
         """The run as operating points at times (m,) [s], to linearise along. Raises BadArgument outside the run."""
         times = checks.times(times)
         return OperatingPoint(times, self.state(times), np.zeros((len(times), self.q.shape[1])))
+
+    def plot(self, signal: str = "error", *, ax: Axes | None = None) -> Axes:
+        """One signal of the run against time, with its contact events.
+
+        Args:
+            signal: "error", "q", "v", "tau", "command", "twist" or "force". ax: to draw in; None: a new figure of pyplot.
+
+        Raises UnknownName for another signal.
+        """
+        from mfc_analysis import plots
+
+        if signal not in SIGNALS:
+            raise UnknownName("signal", signal, SIGNALS)
+        joints = tuple(name.removeprefix("q_") for name in self.output_names[: self.q.shape[1]])
+        columns = {
+            "error": tuple(x for x in self.output_names if x.startswith(("e_", "X_e_")))[: self.error.shape[1]],
+            "twist": TWIST,
+            "force": WRENCH,
+        }
+        names = tuple(x.removeprefix("e_").removeprefix("X_e_") for x in columns.get(signal, joints))
+        events, panel = [(event.time, str(event.kind)) for event in self.events], plots.Panel(SIGNALS[signal], getattr(self, signal))
+        return plots.traces(self.t, (panel,), names, events=events, title="Simulation", axes=plots.shown("time history", ax))[0]
 
     @property
     def response(self) -> TimeResponseData:

@@ -8,7 +8,7 @@ The disturbances are those that the linear model predicts worst (``directions``)
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from mfc_analysis.simulation.orbit import TIGHT, transitions_along
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
 from mfc_analysis.simulation.run import Outcome, most_evaluations
 from mfc_analysis.simulation.simulation import Simulation, simulate, simulate_together
+
+if TYPE_CHECKING:
+    from mfc_analysis.plots.figure import Axes
 
 STEPS = 200
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
@@ -53,6 +56,15 @@ class Validation:
     nonlinear: Array  #: (N, n) joint deviations of the nonlinear run at ``size``; NaN where it did not reach its end
     linear: Array  #: (N, n) prediction of the linear model
     message: str = ""  #: why there are no metrics (NaN), where a run did not reach its end
+    joints: tuple[str, ...] = ()  #: (n,) names
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """The joint deviations at ``size``: nonlinear solid, linear dashed. ``ax``: to draw in; None: a new figure of pyplot."""
+        from mfc_analysis import plots
+
+        panel = plots.Panel("deviation [rad, m]", self.nonlinear, beside=self.linear)
+        title, said = f"{self.size:g} rad in the worst direction", ("nonlinear", "linear")
+        return plots.traces(self.t, (panel,), self.joints, title=title, said=said, axes=plots.shown("time history", ax))[0]
 
     def __str__(self) -> str:
         if np.isnan(self.nrmse):
@@ -96,10 +108,11 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     growth = np.array([1.0 if isinstance(p, str) else max(1.0, float(np.abs(p[0]).max()) / s) for s, p in zip(sizes, pairs, strict=True)])
     error = 1e-8 * growth * sizes + ROUNDED * TIGHT["rtol"] * float(np.abs(base.x[:, q]).max())  # an unstable loop makes more of it
     order = _order(sizes, remainders, error)
+    names = e.robot.joint_names
     if isinstance(here, str):
         linear = size * (predicted[:, q] @ direction)
-        return Validation(time, size, order, np.inf, radius, direction, sizes, remainders, t, np.full(linear.shape, np.nan), linear, here)
-    return Validation(time, size, order, misfit(*here), radius, direction, sizes, remainders, t, *here)
+        return Validation(time, size, order, np.inf, radius, direction, sizes, remainders, t, np.full(linear.shape, np.nan), linear, here, names)
+    return Validation(time, size, order, misfit(*here), radius, direction, sizes, remainders, t, *here, joints=names)
 
 
 class _Disturbed:
@@ -263,7 +276,7 @@ def _about(size: float, among: tuple[int, int], low: float, high: float, least: 
 def _nothing(e: Equations, time: float, size: float, why: str, radius: float = 0.0) -> Validation:
     nan, n = float("nan"), e.n
     none, empty = np.full((1, n), nan), np.zeros(0)
-    return Validation(time, size, nan, nan, radius, np.full(e.nx, nan), empty, empty, np.zeros(1), none, none, why)
+    return Validation(time, size, nan, nan, radius, np.full(e.nx, nan), empty, empty, np.zeros(1), none, none, why, e.robot.joint_names)
 
 
 class _TooMuch(Exception):

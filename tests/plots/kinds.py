@@ -77,6 +77,8 @@ def every_kind() -> dict[str, Callable[[], Any]]:
         "margins": partial(plots.margins, history(), asked=45.0),
         "margins, some unstable": partial(plots.margins, history(unstable=True), metric="delay", asked=2e-3),
         "margins at one time": partial(plots.margins, history(1)),
+        "margins at one time of a loop alone": partial(plots.margins, history(1, 1), metric="delay", title="Margins at torque"),
+        "margins with a title": partial(plots.margins, history(), title="Margins at position"),
         "margins, no limit": partial(plots.margins, history(21, 1), metric="gain_increase_db"),
         "margin history": partial(plots.margin_history, history(unstable=True), {"phase_deg": 45.0, "sensitivity_peak": 1.7}),
         "poles": partial(plots.poles, p, damping=0.5),
@@ -87,6 +89,8 @@ def every_kind() -> dict[str, Callable[[], Any]]:
             plots.step, t, 0.2 - q[:, 0], nonlinear=(t, 0.2 - 0.9 * q[:, 0]), torque=(t, 12345 * q[:, 0]), torque_limit=1000.0, target=0.2, band=0.004
         ),
         "step, linear only": partial(plots.step, t, 1e-5 * q[:, 0]),
+        "responses": partial(plots.responses, t, 0.2 - q.T, worst=2, worst_time=1.25, title="Unit step of q_d_shoulder_pan_joint"),
+        "roots with dead time": partial(plots.poles, p, path=p + 1, note="grey: poles without dead time", title="Roots with dead time, t = 1.25 s"),
         "run": partial(
             plots.traces,
             t,
@@ -118,6 +122,7 @@ def every_kind() -> dict[str, Callable[[], Any]]:
         "arm": partial(plots.arm, origins, worst=10, worst_time=1.234),
         "floquet": partial(plots.multipliers, np.array([-1.0738, 0.3 + 0.2j, 0.3 - 0.2j])),
         "disk": partial(plots.disk, (0.61, 1.64), 27.3, alpha=0.486),
+        "disk, unstable": partial(plots.disk, (np.nan, np.nan), np.nan, alpha=np.nan, title="All loops at torque, t = 0 s"),
         "disk, no upper end": partial(plots.disk, (0.0, np.inf), 90.0, alpha=2.0),
         "block": partial(
             plots.block,

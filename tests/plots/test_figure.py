@@ -119,6 +119,10 @@ def test_a_legend_is_shortened_until_it_fits(count):
     assert sheet.fitting(("q1", "q2"), 6.2) == ["q1", "q2"]
 
 
+def test_what_is_common_to_all_names_goes_first():
+    assert sheet.fitting([f"panda_joint{k}" for k in range(1, 8)], 5.7) == [f"joint{k}" for k in range(1, 8)]
+
+
 def test_a_shortened_legend_tells_its_joints_apart():
     names = [f"L{part}{axis}" for part in ("Shoulder", "Elbow", "Wrist") for axis in ("Roll", "Pitch", "Yaw")]
     found = sheet.fitting(names, 6.2)

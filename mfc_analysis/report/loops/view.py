@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mfc_analysis.analysis.frequency.window import window
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 from mfc_analysis.report.document.document import Number, found_of, limit_of, written
 from mfc_analysis.report.loops.checks import checks
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 FEWEST_ROOTS = 6  #: of a loop with dead time
 NO_FEEDBACK = 1e-12  #: |L| below which a channel counts as without feedback
-MOST_DECADES = 7.0  #: of a frequency axis
 FAR, FAST = 0.5, 10.0  #: [rad, m], [rad/s, m/s] beyond which a diverging simulation is cut off
 
 
@@ -132,18 +132,8 @@ class View:
         """(count,) [rad/s] around the poles and crossover frequencies of the worst case."""
         i, k = self.worst.row, self.worst.channel
         m = self.margins
-        at = np.concatenate(
-            [np.abs(self.evidence.spectrum.rates[i])] + [np.ravel(f[i, k]) for f in (m.crossover, m.reduction_frequency, m.increase_frequency)]
-        )
-        at = at[np.isfinite(at) & (at > 1e-6)]
-        low, high = (float(at.min()) / 20, float(at.max()) * 20) if at.size else (1e-2, 1e2)
-        if self.lin.dt:
-            high = np.pi / self.lin.dt * (1 - 1e-9)
-            low = min(low, high / 100)
-        if np.log10(high / low) > MOST_DECADES:
-            middle = float(m.crossover[i, k]) if np.isfinite(m.crossover[i, k]) else float(np.sqrt(low * high))
-            low, high = max(low, middle * 10 ** (-0.6 * MOST_DECADES)), min(high, middle * 10 ** (0.4 * MOST_DECADES))
-        return np.geomspace(low, high, count)
+        marks = np.array([f[i, k] for f in (m.crossover, m.reduction_frequency, m.increase_frequency)])
+        return window(self.evidence.spectrum.rates[i], marks, float(m.crossover[i, k]), self.lin.dt, count)
 
     def response(self, frequencies: Array, at: str | None = None, channel: int | None = None) -> Complex:
         """(nf,) L(jw) in the worst case (``channel``: of another channel), dead time included."""

@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose
 from scipy.special import lambertw
 
 import mfc_analysis as mfc
+from mfc_analysis.analysis.frequency.window import MOST_DECADES
 from mfc_analysis.report.loops import blocks
-from mfc_analysis.report.loops.view import FAR, MOST_DECADES, place_words
+from mfc_analysis.report.loops.view import FAR, place_words
 from tests.report.loops.views import MGR, B, H, I, L, T, falling, joint, links, mass, open_loop, planar, unstable, velocity, view
 
 
