@@ -13,6 +13,7 @@ from . import (
     testing as testing,
     trajectories as trajectories,
 )
+from .analysis import frf as frf
 from .analysis.plain import delay_roots as delay_roots, disk_margin as disk_margin, margins as margins
 from .design import sweep as sweep
 from .dynamics import Environment as Environment, Hardware as Hardware

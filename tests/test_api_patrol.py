@@ -164,7 +164,7 @@ def test_help_on_the_command_line_loads_no_science() -> None:
     "face",
     [
         "mfc_analysis",
-        *(f"mfc_analysis.{name}" for name in ("dynamics", "linearization", *FACADES) if name != "constraints"),
+        *(f"mfc_analysis.{name}" for name in ("dynamics", "linearization", *FACADES) if name not in ("constraints", "frf")),
     ],
 )
 def test_a_face_shows_its_public_names_and_nothing_else(face: str) -> None:

@@ -1,5 +1,8 @@
+from . import frf as frf
+from .comparison import Comparison as Comparison
 from .disk import DiskMargin as DiskMargin
 from .floquet import Floquet as Floquet, TransientGrowth as TransientGrowth
+from .frf import FrequencyResponse as FrequencyResponse
 from .margins import Margins as Margins, Worst as Worst
 from .spectrum import Pole as Pole
 from .stability import Stability as Stability

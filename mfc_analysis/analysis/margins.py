@@ -12,7 +12,7 @@ abs(s) < 1/horizon to the right (``arc``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -96,6 +96,11 @@ class Margins:
         """(m, n) [dB] -20 log10 of the gain reduction: positive; inf where no reduction destabilises."""
         with np.errstate(divide="ignore"):
             return np.asarray(-20 * np.log10(self.gain_reduction))
+
+    def channel(self, number: int) -> Margins:
+        """The margins of one channel only: (m, 1) metrics."""
+        metrics = {f.name: getattr(self, f.name)[:, number, None] for f in fields(MarginMetrics)}
+        return replace(self, channels=(self.channels[number],), **metrics)
 
     def worst(self) -> Worst:
         """The smallest margins (largest reduction and peak) with their times and channels; points that are not stable are listed separately."""

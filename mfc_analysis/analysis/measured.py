@@ -23,21 +23,29 @@ def measured_margins(data: Any, delay: float = 0.0, open_loop_unstable: int = 0)
     The verdict is Nyquist's count on the samples, with ``open_loop_unstable`` poles of L in the right half plane. L is taken to be 0 above
     the last frequency; below the first it is constant, or has the integrators that its slope shows. Raises BadArgument.
     """
-    w, L = _samples(data)
+    w, L = samples(data)
     L = np.asarray(L * np.exp(-1j * w * delay), np.complex128)
-    gain, phase = _crossings(w, L, lambda L: np.abs(L) ** 2 - 1), _crossings(w, L, lambda L: L.imag)
-    origin = L[:1].real if not _integrators(w, L) else np.zeros(0)  # L is real there
-    zero = np.zeros(origin.size, np.int64)
-    with np.errstate(divide="ignore"):
-        arc = Crossings(zero, zero, np.zeros(origin.size), np.asarray(1 / (1 + origin) - 1, np.complex128))
     stable = unstable_roots(w, L, open_loop_unstable) == 0
+    origin = float(L[0].real) if not _integrators(w, L) else None  # L is real there
+    return sampled_margins(w, L, stable, "loop", str(data.output_labels[0]), origin)
+
+
+def sampled_margins(w: Array, L: Complex, stable: bool, at: str, channel: str, origin: float | None = None) -> Margins:
+    """Margins of the straight lines through the samples L (k,) at w (k,) [rad/s], and of nothing beyond them, at the time 0.
+
+    ``stable``: the verdict on the closed loop; without it all are NaN. ``origin``: L at zero frequency, if it is known and real.
+    """
+    gain, phase = _crossings(w, L, lambda L: np.abs(L) ** 2 - 1), _crossings(w, L, lambda L: L.imag)
+    still = np.zeros(0) if origin is None else np.array([origin])
+    zero = np.zeros(still.size, np.int64)
+    with np.errstate(divide="ignore"):
+        arc = Crossings(zero, zero, np.zeros(still.size), np.asarray(1 / (1 + still) - 1, np.complex128))
     found = assembled(gain, phase, arc, np.zeros((1, 1)), lambda w: w)
     distance, nearest = _nearest(w, 1 + L)
     found |= {"sensitivity_peak": np.array([[max(1.0, 1 / distance)]]), "peak_frequency": np.array([[nearest]])}
     if not stable:
         found = {name: np.full((1, 1), np.nan) for name in found}
-    names = tuple(str(name) for name in data.output_labels)
-    return Margins(np.zeros(1), "loop", names, np.array([stable]), np.zeros(1, bool), **found)
+    return Margins(np.zeros(1), at, (channel,), np.array([stable]), np.zeros(1, bool), **found)
 
 
 def unstable_roots(w: Array, L: Complex, open_loop_unstable: int = 0) -> int:
@@ -67,15 +75,16 @@ def _integrators(w: Array, L: Complex) -> int:
     return int(np.clip(np.rint(slope), 0, STEEPEST)) if abs(L[0]) > 1 else 0
 
 
-def _samples(data: Any) -> tuple[Array, Complex]:
+def samples(data: Any, argument: str = "L") -> tuple[Array, Complex]:
+    """Frequencies (k,) [rad/s], increasing, and L (k,) of ``control.FrequencyResponseData`` of one channel. Raises BadArgument."""
     L = np.asarray(data.frdata)
     w = np.asarray(data.omega, float)
     if L.shape[:2] != (1, 1) or w.size < 3:
-        raise BadArgument("L", f"{L.shape[0]} x {L.shape[1]} responses at {w.size} frequencies", "one channel at three frequencies or more")
+        raise BadArgument(argument, f"{L.shape[0]} x {L.shape[1]} responses at {w.size} frequencies", "one channel at three frequencies or more")
     order = np.argsort(w)
     w, L = w[order], np.asarray(L[0, 0, order], np.complex128)
     if not np.isfinite(L).all() or w[0] <= 0 or (np.diff(w) <= 0).any():
-        raise BadArgument("L", "frequency response data", "finite values at different frequencies > 0")
+        raise BadArgument(argument, "frequency response data", "finite values at different frequencies > 0")
     return w, L
 
 

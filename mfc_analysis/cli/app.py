@@ -157,6 +157,35 @@ def studies(
     terminal.pairs([(name, title) for name, (_, title) in shipped().items()])
 
 
+@app.command()
+@terminal.guarded
+def frf(
+    file: Annotated[Path, typer.Argument(metavar="CSV", help="Measured signals, a column each, with their names in the first line.")],
+    time: Annotated[str, typer.Option(help="Column of the time, in s.")] = "t",
+    input: Annotated[str, typer.Option(help="Column of the signal after the excitation, or a sum of columns such as 'tau + r'.")] = "u",
+    output: Annotated[str, typer.Option(help="Column of minus the signal before the excitation: '--output=-tau'.")] = "y",
+    excitation: Annotated[str | None, typer.Option(help="Column of the excitation; needed where the loop was closed.")] = None,
+    period: Annotated[float | None, typer.Option(help="Period of a periodic excitation, in s.")] = None,
+    averages: Annotated[int, typer.Option(help="Segments to average, at least.")] = 8,
+    study: Annotated[Path | None, typer.Option(help="Compare with the first loop of this study.")] = None,
+    at: Annotated[str | None, typer.Option(help="Analysis point; default: that of the study.")] = None,
+    channel: Annotated[str | None, typer.Option(help="Joint; default: the first.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the figure into this file (SVG).")] = None,
+) -> None:
+    """Estimate a loop's frequency response from measured signals; compare it with a model."""
+    from mfc_analysis.cli import measured
+
+    columns = {"time": time, "input": input, "output": output, "excitation": excitation}
+    found, over = measured.response(file, columns, period, averages, None if study is None else _study(study), at, channel)
+    terminal.say(found)
+    if over is None:
+        terminal.table(measured.COLUMNS, found.rows())
+    else:
+        terminal.say(over)
+    if plot is not None:
+        terminal.say(measured.drawn(over or found, plot))
+
+
 def _study(path: Path) -> Any:
     from mfc_analysis import study
     from mfc_analysis.study.shipped import found

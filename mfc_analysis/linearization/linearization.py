@@ -29,6 +29,7 @@ from mfc_analysis.simulation.simulation import Simulation
 if TYPE_CHECKING:
     from control import FrequencyResponseData, StateSpace
 
+    from mfc_analysis.analysis.comparison import Comparison
     from mfc_analysis.analysis.disk import DiskMargin
     from mfc_analysis.analysis.floquet import TransientGrowth
     from mfc_analysis.analysis.margins import Margins
@@ -315,6 +316,20 @@ class Linearization:
 
         at = self._at(at)
         return measured_model(self._alone(self.opened_for(at), index), checks.frequencies(frequencies), at, channel)
+
+    def compare(self, frd: Any, at: str | None = None, channel: int | str | None = None, index: int = 0) -> Comparison:
+        """A measured L(jw) of one channel (default: the first) over the model's at one time: misfit, margins of both, and a verdict in words.
+
+        ``frd``: of ``mfc.frf.estimate``, or a ``control.FrequencyResponseData``, of L in negative feedback. Raises as ``loop``, and BadArgument.
+        """
+        from mfc_analysis.analysis.comparison import Comparison, measured_loop
+
+        w, L, deviation = measured_loop(frd, self.dt)
+        at, i = self._at(at), self._index(index)
+        model = self.frd(w, at, channel, i)
+        found = self.again(self.times[i : i + 1]).margins(at)
+        j = 0 if channel is None else found.channels.index(channel) if isinstance(channel, str) else channel
+        return Comparison(at, found.channels[j], float(self.times[i]), w, L, model.frdata[0, 0], deviation, found.channel(j))
 
     def step(
         self, index: int = 0, input: int | str = 0, output: int | str = 0, duration: float | None = None, *, times: ArrayLike | None = None

@@ -6,6 +6,7 @@ from .figure import axes_for as axes_for, panels_for as panels_for, shown as sho
 from .frequency import bode as bode, frequencies_of as frequencies_of, nyquist as nyquist, of_channel as of_channel, two_axes as two_axes
 from .maps import log_axes as log_axes, stability_map as stability_map
 from .margins import margin_history as margin_history, margins as margins, metric_values as metric_values
+from .measured import comparison as comparison, response as response
 from .poles import poles as poles
 from .runs import Panel as Panel, curves as curves, traces as traces
 from .steps import responses as responses, step as step

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,8 +14,11 @@ from mfc_analysis.errors import MfcError
 from mfc_analysis.study.check import LoopCheck, check as check_study
 from mfc_analysis.study.errors import StudyError
 from mfc_analysis.study.limits import limits
+from mfc_analysis.study.measured import compared
 
 if TYPE_CHECKING:
+    from mfc_analysis.analysis.comparison import Comparison
+    from mfc_analysis.analysis.frf import FrequencyResponse
     from mfc_analysis.design.searches import Limit
     from mfc_analysis.report.document.document import Document, Section
     from mfc_analysis.requirements.line import Line
@@ -80,6 +84,8 @@ def document(study: Study, done: Callable[[str], None] | None = None, progress: 
     if chosen is not None:
         kept = {title for key in chosen for title in PAGES[key]}
         sections = [replace(s, sections=tuple(inner for inner in s.sections if inner.title in kept)) for s in sections]
+    for one in loops:
+        sections += [measured_section(one.name, *pair, many=len(loops) > 1) for pair in compared(one)]
     if any(one.table.ranges.model_fields_set for one in loops):
         sections += [ranges_section(found) for found in check_study(study, progress) if found.cases > 1]
     for one in loops:
@@ -111,6 +117,26 @@ def ranges_section(found: LoopCheck) -> Section:
 
 def _found(line: Line) -> str:
     return "undefined" if math.isnan(line.found) else f"{line.found:.4g} {line.unit}".rstrip()
+
+
+def measured_section(name: str, found: FrequencyResponse, over: Comparison, *, many: bool) -> Section:
+    """A measured loop over the model: the verdict, the picture, and the margins of both."""
+    from mfc_analysis import plots
+    from mfc_analysis.report.document.document import Column, Figure, Paragraph, Section, Table
+
+    rows = over.rows()
+    said = f"{over.verdict[:1].upper()}{over.verdict[1:]}."
+    alt = f"Gain and phase of the measured loop (dots) and of the model (line) over the frequency, and the misfit of the phase. {said}"
+    caption = f"The loop at {over.at}, {over.channel}, t = {over.time:g} s: measured (dots; grey where its deviation exceeds 1 dB) and model (line)."
+    columns = (Column("", numeric=False), Column("Measured"), Column("Model"), Column("Difference"))
+    body = (
+        Paragraph(f"Estimated by {found.method}. {str(found).splitlines()[-1].strip().capitalize()}."),
+        Figure(partial(plots.comparison, over), caption, alt),
+        Table("Margins of both. Those of the measured loop are read from the trusted data, and from nothing beyond them.", columns, tuple(rows)),
+    )
+    title = f"{name}: measured and model" if many else "Measured and model"
+    numbers = {"at": over.at, "channel": over.channel, "verdict": over.verdict, "margins": {a: {"measured": b, "model": c} for a, b, c, _ in rows}}
+    return Section(title, said, body, numbers=numbers)
 
 
 def limits_section(name: str, searched: Sequence[Limit], *, many: bool) -> Section:

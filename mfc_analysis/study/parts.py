@@ -290,6 +290,7 @@ class Parts:
     def files(self) -> tuple[Path, ...]:
         """The files that the tables name."""
         named = [self.table.robot.urdf, self.table.controller_model and self.table.controller_model.urdf, getattr(self.table.reference, "file", None)]
+        named += [one.file for one in self.table.measured]
         return tuple(self.folder / name for name in named if name)
 
     @cached_property

@@ -26,6 +26,10 @@ def _span(value: Any) -> Any:
     return value
 
 
+def _several(value: Any) -> Any:
+    return [value] if isinstance(value, dict) else value
+
+
 Locked = Annotated[Any, PlainValidator(_locked)]
 
 # --- robot ---------------------------------------------------------------------------------------------------------------
@@ -202,10 +206,6 @@ class EnvironmentTable(Table):
     one_sided: bool = False
 
 
-def _surfaces(value: Any) -> Any:
-    return [value] if isinstance(value, dict) else value
-
-
 class HardwareTable(Table):
     """Fields of ``Hardware``; SI."""
 
@@ -314,6 +314,23 @@ class DesignTable(Table):
     max_bandwidth: bool = False  #: of law.gains, meeting the requirements over the ranges
 
 
+class MeasuredTable(Table):
+    """A measured loop to compare with the model: columns of a CSV file by name or number, or sums of them such as "tau + r"."""
+
+    file: str  #: relative to the study
+    time: str = "t"  #: [s]
+    input: str = "u"  #: the signal after the excitation
+    output: str = "y"  #: minus the signal before it, as in "-tau": L is in negative feedback
+    excitation: str | None = None  #: needed where the loop was closed
+    period: Number | None = None  #: [s] of a periodic excitation
+    averages: Annotated[int, Field(ge=2)] = 8
+    cycles: Annotated[float, Field(ge=2)] = 50.0
+    window: str = "hann"
+    at: str | None = None  #: analysis point; default: that of the loop
+    channel: str | None = None  #: joint; default: the first
+    when: Number | None = None  #: [s] of the linearisation; default: the first of the times
+
+
 Format = Literal["html", "pdf", "json"]
 FORMATS: tuple[Format, ...] = ("html", "pdf", "json")
 
@@ -337,7 +354,7 @@ class LoopTable(Table):
     q_start: Vector | None = None
     q_start_deg: Vector | None = None
     reference: ReferenceTable
-    environment: Annotated[list[EnvironmentTable], BeforeValidator(_surfaces)] = Field(default_factory=list)
+    environment: Annotated[list[EnvironmentTable], BeforeValidator(_several)] = Field(default_factory=list)
     hardware: HardwareTable | None = None
     times: Annotated[TimesTable | None, BeforeValidator(_span)] = None
     at: str | None = None
@@ -345,6 +362,7 @@ class LoopTable(Table):
     requirements: RequirementsTable = RequirementsTable()
     ranges: RangesTable = RangesTable()
     design: DesignTable = DesignTable()
+    measured: Annotated[list[MeasuredTable], BeforeValidator(_several)] = Field(default_factory=list)
 
 
 class StudyTable(LoopTable):

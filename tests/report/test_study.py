@@ -86,3 +86,17 @@ def test_only_the_sections_asked_for_stay_and_ranges_and_limits_have_their_own(t
     assert {inner.title for inner in some.sections[0].sections} == everything & {*pages.PAGES["poles"], *pages.PAGES["run"]}
     assert everything <= {title for titles in pages.PAGES.values() for title in titles}  # any of them can be chosen
     assert (len(whole.sections), len(some.sections), len(seen)) == (1, 3, 1)
+
+
+def test_a_measured_loop_has_a_section_with_its_verdict_and_the_margins_of_both(tmp_path: Path) -> None:
+    from mfc_analysis.report.document.document import Figure
+    from tests.study.test_measured import TEXT as MEASURED, run
+
+    run(tmp_path, late=50)
+    found = pages.document(study(tmp_path, MEASURED + "[report]\nsections = []\n"))
+    section = next(s for s in found.sections if s.title == "Measured and model")
+    _, figure, table = section.body
+    assert isinstance(figure, Figure) and isinstance(table, Table)
+    assert "optimistic" in str(section.finding) and section.numbers["verdict"] in str(section.finding).replace("The model", "the model")
+    assert table.rows[0][0] == "phase margin" and section.numbers["margins"]["phase margin"]["model"] == "90 deg"
+    assert "r (no bias by feedback)" in str(section.body[0]) and len(figure.draw()) == 3
