@@ -350,8 +350,6 @@ def test_a_response_with_dead_time_is_shown_as_far_as_its_steps_go(monkeypatch):
     assert short.settling == pytest.approx(whole.settling, rel=1e-9)
     assert whole.settling < short.t[-1] < whole.t[-1]
     monkeypatch.setattr(module, "MOST_STEPS", int(0.5 * whole.settling / 1e-3))
-    says = (
-        r"step d -> y: not settled after .* s, as far as \d+ steps go with a dead time of 0.001 s; the slowest root has a time constant of 1.053 s"
-    )
+    says = r"step d -> y: not settled after .* s, as far as \d+ steps go with a dead time of 0.001 s; the slowest root has a time constant of 1.053 s"
     with pytest.raises(NotConverged, match=says):
         step(system, 0, "d", "y")
