@@ -107,7 +107,10 @@ def limits(
     study: StudyFile,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Find how far payload, dead time, sampling, bandwidth and wall may go with the requirements still met: exit code 0 met as given, 1 not met."""
+    """Find how far load, delay, bandwidth, sampling and wall may go.
+
+    The requirements of the study are still met there. Exit code: 0 met as given, 1 not met, 2 bad input.
+    """
     from mfc_analysis.study import limits as study_limits
 
     with terminal.progress("limits") as advance:
@@ -172,7 +175,10 @@ def frf(
     channel: Annotated[str | None, typer.Option(help="Joint; default: the first.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the figure into this file (SVG).")] = None,
 ) -> None:
-    """Estimate a loop's frequency response from measured signals; compare it with a model."""
+    """Estimate a loop's frequency response from measured signals.
+
+    With a study, the measured loop is compared with that of the model.
+    """
     from mfc_analysis.cli import measured
 
     columns = {"time": time, "input": input, "output": output, "excitation": excitation}

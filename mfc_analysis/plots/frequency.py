@@ -79,9 +79,9 @@ def two_axes(ax: Axes | tuple[Axes, Axes] | None) -> tuple[Axes, Axes]:
     figure, spec = ax.get_figure(root=False), ax.get_subplotspec()
     assert figure is not None
     if spec is not None:
-        above, below = spec.subgridspec(2, 1, hspace=0.12)
-        ax.set_subplotspec(above)
-        return ax, figure.add_subplot(below)
+        halves = spec.subgridspec(2, 1, hspace=0.12)
+        ax.set_subplotspec(halves[0])
+        return ax, figure.add_subplot(halves[1])
     box = ax.get_position(original=True)
     ax.set_position((box.x0, box.y0 + 0.53 * box.height, box.width, 0.47 * box.height))
     return ax, figure.add_axes((box.x0, box.y0, box.width, 0.47 * box.height))

@@ -46,10 +46,12 @@ def step(
         upper.plot(
             np.asarray(nonlinear[0], float), np.asarray(nonlinear[1], float), color=sheet.INK, linewidth=1.1, linestyle="--", label="nonlinear"
         )
-    for lower in below if torque is not None else ():
+    if torque is not None:
+        lower = below[0]
         lower.plot(np.asarray(torque[0], float), np.asarray(torque[1], float), color=sheet.colour(index), linewidth=1.2)
-        for side in (1, -1) if torque_limit is not None and np.isfinite(torque_limit) else ():
-            lower.axhline(side * torque_limit, color=sheet.INK, linewidth=0.8, linestyle=":")
+        if torque_limit is not None and np.isfinite(torque_limit):
+            for side in (1, -1):
+                lower.axhline(side * torque_limit, color=sheet.INK, linewidth=0.8, linestyle=":")
         sheet.label(lower, "", drive)
     drawn = (upper, *below)
     for ax in drawn:

@@ -43,6 +43,7 @@ ROUNDING = 1e-9  #: fraction of the acceleration scale below which a residual is
 RUN_POINTS = 400  #: fewest samples of the nonlinear run
 GRAVITY = 10.0  #: [m/s^2] the acceleration scale of an arm at rest
 SLIDES = 1e-8  #: fraction of its terms below which a slow displacement is rounding error
+EDGE = 1e-3  #: fraction of 1/horizon within which a root that was judged to grow is looked for among the slow ones
 HOLD_RUN = 2.0  #: [s] duration of the nonlinear run where neither the times nor the reference define one
 
 
@@ -153,8 +154,14 @@ class Evidence:
 
     @cached_property
     def rightmost(self) -> Root:
-        """The rightmost root that is not slow, dead time included, with its time and the joints or tool axes that take part in it."""
-        return rightmost(self.linearization.judged, self.roots)
+        """The rightmost root that is not slow, dead time included, with its time and the joints or tool axes that take part in it.
+
+        Of an unstable loop it grows: a root on the edge of the disc of the slow ones may be judged outside it and be found inside, to rounding.
+        """
+        found, slow = self.roots
+        if not (self.judged.all() or (found.real[~slow] > 0).any()):
+            slow = slow & ~((np.abs(found) > (1 - EDGE) / self.horizon) & (found.real > 0))
+        return rightmost(self.linearization.judged, (found, slow))
 
     @property
     def unstable(self) -> str:

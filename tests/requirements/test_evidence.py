@@ -114,6 +114,14 @@ def test_the_root_of_a_loop_with_many_samples_in_transit_is_named_from_its_wires
         assert str(e.rightmost) == str(full) and "joint" in str(full)
 
 
+def test_a_root_on_the_edge_of_the_slow_ones_is_located_whatever_rounding_says():
+    e = Evidence(mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.VelocityP(-0.01 * (1 + 1e-9)), hold(1)).equations, [0.0])
+    assert not e.judged[0] and "joint 1 (slide) at t = 0 s: root +0.01 1/s" in e.unstable
+    e.__dict__["roots"] = np.array([[0.01 * (1 - 1e-9) + 0j]]), np.array([[True]])  # another eigenvalue routine's rounding
+    del e.__dict__["rightmost"]
+    assert "joint 1 (slide) at t = 0 s: root +0.01 1/s" in e.unstable and e.slowest_root().value > 0
+
+
 def test_a_steady_state_without_digits_is_an_error_in_words():
     """Friction of 1e30 Nms/rad: the fast part of A is singular to rounding."""
     q = [0.1, -1.0, 1.0, 0.3, 0.4, 0.5]

@@ -38,7 +38,7 @@ def stiffest(loop: mfc.ClosedLoop, said: str) -> str:
     """``max_stiffness`` of a loop against a scan and a bisection; what is wrong, or ''."""
     limit = mfc.design.max_stiffness(loop, TOP, horizon=HORIZON)
     softer = [float(x) for note in limit.notes for x in re.findall(r"also not stable from .* up to (\S+)", note)]  # it says so
-    first = max([1e-3 * limit if np.isfinite(limit) else 1e2, *(1.34 * x for x in softer)])  # the next step of its scan
+    first = max([1e-3 * limit if np.isfinite(limit) else 1e2, 1e-8 * TOP, *(1.34 * x for x in softer)])  # the next step of its scan
     try:
         if limit == 0:
             return "" if not holds(loop, 1e-8 * TOP) else f"max_stiffness 0, but it holds at the softest wall: {said}"
