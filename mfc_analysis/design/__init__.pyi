@@ -1,3 +1,4 @@
+from .attribution import Attribution as Attribution, attribute as attribute
 from .dead_time import DelayMap as DelayMap, delay_map as delay_map, over_delay as over_delay
 from .limits import (
     max_bandwidth as max_bandwidth,
