@@ -111,6 +111,7 @@ def limits(
 
     The requirements of the study are still met there. Exit code: 0 met as given, 1 not met, 2 bad input.
     """
+    from mfc_analysis.cli import compare as compare_command
     from mfc_analysis.study import limits as study_limits
 
     with terminal.progress("limits") as advance:
@@ -121,8 +122,23 @@ def limits(
         for one in found:
             terminal.table(study_limits.COLUMNS, one.rows(), f"{one.loop.name}: {one.loop.requirements}")
             terminal.say(*one.sentences())
+            compare_command.costs(f"{one.loop.name}: what each imperfection costs", one.costs)
     if not all(one.met for one in found):
         raise typer.Exit(terminal.NOT_MET)
+
+
+@app.command()
+@terminal.guarded
+def compare(
+    first: StudyFile,
+    second: StudyFile,
+    out: Annotated[Path | None, typer.Option(help="Folder for the pictures of the costs (SVG).")] = None,
+) -> None:
+    """Compare two studies: what changed, what it did to each requirement, and what each imperfection costs in both."""
+    from mfc_analysis.cli import compare as compare_command
+
+    with terminal.progress("compare") as advance:
+        compare_command.run(_study(first), _study(second), out, advance)
 
 
 @app.command()

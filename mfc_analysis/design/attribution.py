@@ -48,6 +48,13 @@ class Attribution:
     without: Array  #: (f, k) with all but this one
     place: tuple[str, ...]  #: (k,) joint or channel of the worst value of the loop given
     when: tuple[float | None, ...]  #: (k,) [s] of it
+    ends: tuple[str, str] = ("ideal", "as given")  #: the loop without any and with all of them, in words
+
+    @property
+    def shown(self) -> int:
+        """Index of the metric to draw: the phase margin, or the first whose joint cost is finite."""
+        finite = [i for i, cost in enumerate(self.joint) if np.isfinite(cost)]
+        return self.metrics.index("phase_deg") if "phase_deg" in self.metrics else (finite or [0])[0]
 
     @property
     def first(self) -> Array:
@@ -80,15 +87,15 @@ class Attribution:
         out: list[tuple[str, ...]] = [
             ("", *(f"{KINDS[name].label} {f'[{KINDS[name].unit}]' if KINDS[name].unit else ''}".strip() for name in self.metrics))
         ]
-        out.append(("ideal", *map(_said, self.ideal)))
-        out += [(name, *(f"{_said(a)} ({_said(b)})" for a, b in zip(first[i], last[i], strict=True))) for i, name in enumerate(self.factors)]
-        out += [("sum, each alone", *map(_said, self.sum)), ("all together", *map(_said, self.joint)), ("as given", *map(_said, self.given))]
+        out.append((self.ends[0], *map(_said, self.ideal)))
+        out += [(name, *(f"{_cost(a)} ({_cost(b)})" for a, b in zip(first[i], last[i], strict=True))) for i, name in enumerate(self.factors)]
+        out += [("sum, each alone", *map(_cost, self.sum)), ("all together", *map(_cost, self.joint)), (self.ends[1], *map(_said, self.given))]
         return out
 
     def __str__(self) -> str:
         rows = self.rows()
         wide = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-        said = ["cost of each imperfection alone (in brackets: on top of all the others); positive: worse"]
+        said = ["cost of each alone (in brackets: on top of all the others); positive: worse"]
         return "\n".join(said + ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, wide, strict=True)).rstrip() for row in rows])
 
     __repr__ = __str__
@@ -96,6 +103,10 @@ class Attribution:
 
 def _said(x: float) -> str:
     return "undefined" if np.isnan(x) else "no limit" if np.isinf(x) else f"{0.0 if abs(x) < 1e-12 else x:.4g}"
+
+
+def _cost(x: float) -> str:
+    return "infinite" if np.isinf(x) else _said(x)
 
 
 def attribute(
@@ -112,14 +123,20 @@ def attribute(
     asked = Requirements() if requirements is None else requirements
     checks.instance("requirements", asked, Requirements, "a Requirements, such as mfc.Requirements(phase_deg=45)")
     t = checks.times(times)
-    metrics = tuple(asked.asked()) or USUAL
-    factors = imperfections(loop)
+    return attributed(lambda on: with_imperfections(loop, on), imperfections(loop), asked, t, at, progress=progress)
 
+
+def attributed(
+    make: Callable[[Collection[str]], ClosedLoop], factors: tuple[str, ...], asked: Requirements, times: Array, at: str | None,
+    ends: tuple[str, str] = ("ideal", "as given"), *, progress: bool = False,
+) -> Attribution:  # fmt: skip
+    """The attribution of a loop as a function of the factors that are on, such as the changes between two loops."""
+    metrics = tuple(asked.asked()) or USUAL
     with shown(progress, "imperfections") as tick:
 
         def found(on: Collection[str]) -> list[Found]:
             tick(len(on))
-            evidence = Evidence(with_imperfections(loop, on).equations, t, at, asked.horizon, asked.step)
+            evidence = Evidence(make(on).equations, times, at, asked.horizon, asked.step)
             return [evidence.found(name) for name in metrics]
 
         given = found(factors)
@@ -132,7 +149,7 @@ def attribute(
 
     return Attribution(
         metrics, factors, values([ideal])[0], values([given])[0], values(alone), values(without),
-        tuple(one.where for one in given), tuple(one.when for one in given),
+        tuple(one.where for one in given), tuple(one.when for one in given), ends,
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from mfc_analysis.errors import BadArgument, MfcError
 
 if TYPE_CHECKING:
+    from mfc_analysis.design.attribution import Attribution
     from mfc_analysis.design.searches import Limit
     from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.study.read import StudyLoop
@@ -64,6 +65,7 @@ class LoopLimits:
     loop: StudyLoop
     met: bool  #: the requirements, by the loop as given (over its ranges)
     found: tuple[Searched, ...]
+    costs: Attribution  #: what each imperfection costs
 
     def rows(self) -> list[tuple[str, ...]]:
         """Cells of the table, in the order of COLUMNS."""
@@ -104,6 +106,7 @@ def requirement_limits(one: StudyLoop, progress: Progress = lambda what, done, o
     Each quantity alone is varied from its value in the study; a range of that quantity itself is left out. A wall is only searched where
     there is one, a payload for laws of torque, a bandwidth with ``law.gains``. Raises StudyError if the loop cannot be checked as it is.
     """
+    from mfc_analysis.design.attribution import attribute
     from mfc_analysis.design.edges import QUANTITIES, Judge, requirement_limit
 
     judge = Judge(one.requirements, one.times, one.at)
@@ -122,7 +125,7 @@ def requirement_limits(one: StudyLoop, progress: Progress = lambda what, done, o
         except MfcError as error:
             limit, why = None, str(error)
         found.append(Searched(about.name, about.unit, (1 / start if start else np.inf) if about.rate else start, limit, why))
-    return LoopLimits(one, met, tuple(found))
+    return LoopLimits(one, met, tuple(found), attribute(one.loop, one.requirements, one.times, at=one.at))
 
 
 def as_json(loops: Sequence[LoopLimits]) -> str:

@@ -124,6 +124,9 @@ def every_kind() -> dict[str, Callable[[], Any]]:
         "disk": partial(plots.disk, (0.61, 1.64), 27.3, alpha=0.486),
         "disk, unstable": partial(plots.disk, (np.nan, np.nan), np.nan, alpha=np.nan, title="All loops at torque, t = 0 s"),
         "disk, no upper end": partial(plots.disk, (0.0, np.inf), 90.0, alpha=2.0),
+        "costs": partial(
+            plots.costs, ("lag", "dead time", "flexibility"), (4.6, 12.25, -1.0), (3.1, np.nan, np.inf), 21.0, xlabel="cost [deg]", title="Margin"
+        ),
         "block": partial(
             plots.block,
             (("PID + feedforward\n9.12", "command"), ("inverse\ndynamics", ""), ("lag 2 ms\ndelay 1 ms", "torque"), ("UR5 + 2 kg", "")),
