@@ -148,7 +148,7 @@ NUMBERS: dict[str, Door] = {
     **doors(TOUCH.quasi_static().departure, "frequencies"),
     "coupling(frequencies=)": lambda value: coupling(LIN, LIN.input_names[:1], LIN.output_names[:1], value),
     **doors(leak, "rows Lambda", rows=np.eye(6)[:1], Lambda=np.eye(6)),
-    **doors(DESIGN.max_delay, "upper times horizon", LOOP),
+    **doors(DESIGN.max_delay, "upper times horizon n_jobs", LOOP),
     **doors(DESIGN.max_payload, "upper com times horizon", LOOP),
     **doors(DESIGN.min_sample_rate, "lower upper times horizon", LOOP),
     **doors(DESIGN.max_stiffness, "upper times horizon", TOUCH),

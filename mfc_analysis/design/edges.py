@@ -8,12 +8,13 @@ tightest distance to a requirement, to a relative ``NEAR``. A loss narrower than
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from mfc_analysis.analysis.loop_step import SettlingStep
+from mfc_analysis.design.ahead import Ahead
 from mfc_analysis.design.searches import Limit, Outcome, shown
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
@@ -113,6 +114,16 @@ class Judge:
                 break
         return least, tightest
 
+    def distances(self, loops: Sequence[ClosedLoop]) -> list[float]:
+        """The distances of the loops that ``worst`` compares."""
+        self.worst(loops)
+        return [self._known[loop] for loop in loops if loop in self._known]
+
+    def learn(self, loops: Sequence[ClosedLoop], distances: Sequence[float]) -> None:
+        """What another process found for the first of these loops."""
+        for loop, distance in zip(loops, distances, strict=False):
+            self._known.setdefault(loop, distance)
+
     def check(self, loop: ClosedLoop) -> Verdict:
         """The verdict with all its lines."""
         return self.requirements.check(loop, self.times, self.at)
@@ -139,29 +150,38 @@ class _Way(NamedTuple):
 
     harder: Array
     easier: Array
+    nominal: float
     other: bool = False  #: True: where no easier value meets the requirements, a harder one may
+
+    def after(self, x: float) -> list[float]:
+        """The values that a scan asks for after x, if it finds nothing; none within an interval."""
+        for values in (np.append(self.nominal, self.harder), self.easier):
+            found = np.flatnonzero(values == x)
+            if found.size:
+                return [float(one) for one in values[found[0] + 1 :]]
+        return []
 
 
 def requirement_limit(
-    make: Make, quantity: str, nominal: float, judge: Judge, *, lower: float = 0.0, upper: float = np.inf, progress: bool = False
-) -> Limit:
+    make: Make, quantity: str, nominal: float, judge: Judge, *, lower: float = 0.0, upper: float = np.inf, progress: bool = False,
+    n_jobs: int | None = None,
+) -> Limit:  # fmt: skip
     """The limit of a quantity of ``QUANTITIES`` at which the requirements are just met, from its value ``nominal`` in the loop as given.
 
     Args:
         make: value -> the loop, or several that must all meet them; a rate is given as its period [s]. lower, upper: ends of the search.
+        n_jobs: processes, as in ``limits``; they judge the next values of the scan.
 
     ``Limit.binding`` is the requirement missed just beyond it. Where the loop misses one as given, the limit is the value nearest to it that
     meets them all, and a note says what is missed; 0 (a rate: inf) if no value does. Raises BadArgument, and any error of ``make``.
     """
     about = QUANTITIES[quantity]
     made: dict[float, list[ClosedLoop]] = {}
+    ahead = Ahead(_Apart(make, Judge(judge.requirements, judge.times, judge.at)), n_jobs)
 
     def loops(x: float) -> list[ClosedLoop]:
         if x not in made:
-            given = make(x)
-            made[x] = [given] if isinstance(given, ClosedLoop) else list(given)
-            if not made[x] or not all(isinstance(loop, ClosedLoop) for loop in made[x]):
-                raise BadArgument("make_loop", given, "a function that returns a ClosedLoop or several")
+            made[x] = _made(make, x)
         return made[x]
 
     def told(x: float) -> float:
@@ -174,6 +194,8 @@ def requirement_limit(
         def distance(x: float) -> float:
             if x not in known:
                 tick(told(x))
+                if ahead.workers > 1:
+                    judge.learn(loops(x), ahead(x, way.after(x)))
                 known[x] = judge.worst(loops(x))[0]
             return known[x]
 
@@ -206,6 +228,25 @@ def requirement_limit(
     if about.rate and edge.holds:
         notes.insert(0, f"sample time {edge.holds:.6g} s")
     return Limit(told(edge.holds), about.name, about.unit, Outcome.FOUND, f"beyond it {said}", loop, beyond, count, tuple(notes), binding)
+
+
+def _made(make: Make, x: float) -> list[ClosedLoop]:
+    given = make(x)
+    out = [given] if isinstance(given, ClosedLoop) else list(given)
+    if not out or not all(isinstance(loop, ClosedLoop) for loop in out):
+        raise BadArgument("make_loop", given, "a function that returns a ClosedLoop or several")
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Apart:
+    """The distances of the loops at a value, by a judge that knows nothing yet: what another process is asked for."""
+
+    make: Make
+    judge: Judge
+
+    def __call__(self, x: float) -> list[float]:
+        return replace(self.judge, _known={}, _rooms={}).distances(_made(self.make, x))
 
 
 def first_edge(
@@ -268,13 +309,13 @@ def _way(quantity: str, nominal: float, loop: ClosedLoop, judge: Judge, lower: f
     """The values of a search: first within its natural scale, then geometrically."""
     if quantity in ("stiffness", "bandwidth"):
         up = _geometric(nominal, upper)
-        return _Way(up, _geometric(nominal, lower, 4), other=True)
+        return _Way(up, _geometric(nominal, lower, 4), nominal, other=True)
     unit = loop.robot.total_mass / 4 if quantity == "payload" else judge.room(loop) * (2 if quantity == "sample_time" else 1)
     away = np.concatenate([unit * np.array([0.25, 0.5, 0.75, 1.0]), _geometric(unit, max(upper - nominal, unit))])
     harder = np.append(nominal + away[away < upper - nominal], upper)
     if quantity == "sample_time":
-        return _Way(harder, _geometric(nominal, lower, 4) if nominal else np.zeros(0))
-    return _Way(harder, np.linspace(nominal, lower, 9)[1:] if nominal > lower else np.zeros(0))
+        return _Way(harder, _geometric(nominal, lower, 4) if nominal else np.zeros(0), nominal)
+    return _Way(harder, np.linspace(nominal, lower, 9)[1:] if nominal > lower else np.zeros(0), nominal)
 
 
 def _geometric(start: float, end: float, steps: int = 8) -> Array:

@@ -4,7 +4,8 @@ Without ``requirements`` a limit is the edge of stability: that of the roots tha
 and sampling, at all ``times`` (a Hold: at 0; else 21 times over the duration or period of the reference), by a scan over the whole range and
 bisection. With ``requirements`` (``at``: their analysis point; their own ``horizon`` counts) it is the edge at which they are just met, from
 the loop as given: see ``edges``. Each result is a float, to a relative 1e-5, with what binds, its time, joint and pose, and the loop at the
-limit in ``.loop``.
+limit in ``.loop``. ``n_jobs``: processes that judge the values a search may ask for next (-1: one on each core; None: set by
+``joblib.parallel_config``, else one); the result is the same.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ MOVING_TIMES = 21  #: times checked along a moving reference
 
 def max_stiffness(
     loop: ClosedLoop, upper: float = 1e6, *, requirements: Requirements | None = None, at: str | None = None, times: ArrayLike | None = None,
-    horizon: float = HORIZON, progress: bool = False,
+    horizon: float = HORIZON, progress: bool = False, n_jobs: int | None = None,
 ) -> Limit:  # fmt: skip
     """Largest environment stiffness [N/m] (rotations alone: [Nm/rad]) with which the loop is stable; inf if stable up to ``upper``.
 
@@ -57,10 +58,10 @@ def max_stiffness(
     t, judge = _asked(loop, times, requirements, at)
     stiffer, given = with_stiffness(loop, float(t[0]))
     if judge is None:
-        return _limit(stiffer, scan(1e-8 * upper, upper), t, horizon, "largest stable stiffness", "N/m", progress)
+        return _limit(stiffer, scan(1e-8 * upper, upper), t, horizon, "largest stable stiffness", "N/m", progress, n_jobs)
     if not 0 < given <= upper:
         raise BadArgument("upper", upper, f"at least the stiffness of the loop, {given:g} N/m, which must be positive")
-    return requirement_limit(stiffer, "stiffness", given, judge, lower=SOFTEST * given, upper=upper, progress=progress)
+    return requirement_limit(stiffer, "stiffness", given, judge, lower=SOFTEST * given, upper=upper, progress=progress, n_jobs=n_jobs)
 
 
 def with_stiffness(loop: ClosedLoop, time: float = 0.0) -> tuple[Callable[[float], ClosedLoop], float]:
@@ -83,7 +84,7 @@ def with_stiffness(loop: ClosedLoop, time: float = 0.0) -> tuple[Callable[[float
 
 def max_delay(
     loop: ClosedLoop, upper: float = 10.0, *, requirements: Requirements | None = None, at: str | None = None, times: ArrayLike | None = None,
-    horizon: float = HORIZON, progress: bool = False,
+    horizon: float = HORIZON, progress: bool = False, n_jobs: int | None = None,
 ) -> Limit:  # fmt: skip
     """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the given one) with which the loop is stable.
 
@@ -101,11 +102,11 @@ def max_delay(
     if judge is not None:
         if hardware.sample_time:
             upper = min(upper, MOST_SAMPLES * hardware.sample_time)
-        return requirement_limit(later, "delay", hardware.delay or 0.0, judge, upper=upper, progress=progress)
+        return requirement_limit(later, "delay", hardware.delay or 0.0, judge, upper=upper, progress=progress, n_jobs=n_jobs)
     alone = linearize(later(0.0).equations, t, horizon=horizon).margins().delay
     first = alone[(alone > 0) & (alone < upper)]
     values = np.union1d(scan(1e-6 * upper, upper), first.min(keepdims=True) * (1 + CLOSE) if first.size else first)
-    return _limit(later, np.concatenate([[0.0], values]), t, horizon, "largest stable dead time", "s", progress)
+    return _limit(later, np.concatenate([[0.0], values]), t, horizon, "largest stable dead time", "s", progress, n_jobs)
 
 
 def max_payload(
@@ -118,6 +119,7 @@ def max_payload(
     times: ArrayLike | None = None,
     horizon: float = HORIZON,
     progress: bool = False,
+    n_jobs: int | None = None,
 ) -> Limit:
     """Largest payload [kg] at the tool, unknown to the controller, with which the loop is stable about its reference.
 
@@ -139,14 +141,14 @@ def max_payload(
 
     t, judge = _asked(loop, times, requirements, at)
     if judge is not None:
-        return requirement_limit(heavier, "payload", 0.0, judge, lower=-held, upper=upper, progress=progress)
-    return _limit(heavier, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), t, horizon, "largest stable payload", "kg", progress)
+        return requirement_limit(heavier, "payload", 0.0, judge, lower=-held, upper=upper, progress=progress, n_jobs=n_jobs)
+    return _limit(heavier, np.concatenate([[0.0], scan(1e-6 * upper, upper)]), t, horizon, "largest stable payload", "kg", progress, n_jobs)
 
 
 def min_sample_rate(
     loop: ClosedLoop, lower: float = 0.1, upper: float | None = None, *,
     requirements: Requirements | None = None, at: str | None = None, times: ArrayLike | None = None,
-    horizon: float = HORIZON, progress: bool = False,
+    horizon: float = HORIZON, progress: bool = False, n_jobs: int | None = None,
 ) -> Limit:  # fmt: skip
     """Smallest rate [1/s] of a sampled controller (``Hardware.sample_time``, zero-order hold) with which the loop is stable.
 
@@ -165,10 +167,12 @@ def min_sample_rate(
     t, judge = _asked(loop, times, requirements, at)
     if judge is not None:
         fastest = max(1 / high, max(hardware.delay or 0.0, hardware.force_delay or 0.0) / MOST_IN_TRANSIT)
-        return requirement_limit(sampled, "sample_time", hardware.sample_time or 0.0, judge, lower=fastest, upper=1 / low, progress=progress)
+        return requirement_limit(
+            sampled, "sample_time", hardware.sample_time or 0.0, judge, lower=fastest, upper=1 / low, progress=progress, n_jobs=n_jobs
+        )
 
     def search(low: float, high: float) -> Limit:
-        return _limit(sampled, scan(1 / high, 1 / low), t, horizon, "smallest stable sample rate", "1/s", progress, rate=True)
+        return _limit(sampled, scan(1 / high, 1 / low), t, horizon, "smallest stable sample rate", "1/s", progress, n_jobs, rate=True)
 
     found = search(low, high)
     if found.outcome is Outcome.NOWHERE and upper is None:
@@ -190,6 +194,7 @@ def max_bandwidth(
     lower: float = 0.1,
     upper: float = 1e4,
     progress: bool = False,
+    n_jobs: int | None = None,
 ) -> Limit:
     """Largest bandwidth [rad/s] whose loop meets the requirements. ``.binding`` is the requirement missed just above it.
 
@@ -207,7 +212,9 @@ def max_bandwidth(
     start = lower if nominal is None else checks.number("nominal", nominal, low=lower, high=upper)
     if not lower < upper <= WIDEST * lower:
         raise BadArgument("upper", upper, f"a number above lower, {lower:g}, and at most {WIDEST:g} times as large")
-    return requirement_limit(make_loop, "bandwidth", start, Judge(requirements, checks.times(times), at), lower=lower, upper=upper, progress=progress)
+    return requirement_limit(
+        make_loop, "bandwidth", start, Judge(requirements, checks.times(times), at), lower=lower, upper=upper, progress=progress, n_jobs=n_jobs
+    )
 
 
 # --- the search on stability -----------------------------------------------------------------------------------------
@@ -219,8 +226,9 @@ def stable(loop: ClosedLoop, times: ArrayLike, horizon: float = HORIZON) -> bool
 
 
 def _limit(
-    make: Callable[[float], ClosedLoop], values: Array, t: Array, horizon: float, name: str, unit: str, progress: bool, rate: bool = False
-) -> Limit:
+    make: Callable[[float], ClosedLoop], values: Array, t: Array, horizon: float, name: str, unit: str, progress: bool, n_jobs: int | None,
+    rate: bool = False,
+) -> Limit:  # fmt: skip
     """``rate``: the values are times [s], and what is said of them is their rate."""
 
     def told(x: float) -> float:
@@ -232,12 +240,7 @@ def _limit(
         return stable(make(x), t, horizon)
 
     with shown(progress, name) as tick:
-
-        def seen(x: float) -> bool:
-            tick(told(x))
-            return holds(x)
-
-        bracket = first_loss(seen, values, skip=values[0] > 0)
+        bracket = first_loss(holds, values, skip=values[0] > 0, tick=lambda x: tick(told(x)), n_jobs=n_jobs)
     if bracket.outcome is Outcome.NOWHERE:
         there = make(float(values[0]))
         root, binding = _lost(there, t, horizon)

@@ -5,6 +5,7 @@ An interval of loss narrower than one step of the scan can be missed; the scan h
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Self, cast
 
 import numpy as np
 
+from mfc_analysis.design.ahead import Ahead
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths.arrays import Array
 
@@ -107,42 +109,66 @@ def scan(lower: float, upper: float, steps: int = STEPS) -> Array:
     return np.geomspace(lower, upper, max(2, int(np.ceil(steps * np.log10(upper / lower))) + 1))
 
 
-def first_loss(holds: Callable[[float], bool], values: Array, *, skip: bool = True) -> Bracket:
+def first_loss(
+    holds: Callable[[float], bool], values: Array, *, skip: bool = True, tick: Tick = lambda x: None, n_jobs: int | None = None
+) -> Bracket:
     """The first loss along increasing values, located by bisection.
 
-    ``skip``: initial values at which the condition fails are skipped (``Bracket.before``); otherwise they end the search.
+    ``skip``: initial values at which the condition fails are skipped (``Bracket.before``); otherwise they end the search. ``tick`` is called
+    with each value; ``n_jobs`` as in ``Ahead``, with the same numbers.
     """
     count, last, before = 0, np.nan, None
-    for x in values:
+    ahead = Ahead(holds, n_jobs)
+    ascending = [float(x) for x in values]
+    for i, x in enumerate(ascending):
         count += 1
-        if holds(float(x)):
-            last = float(x)
+        tick(x)
+        if ahead(x, ascending[i + 1 :]):
+            last = x
             continue
         if np.isnan(last):
-            before = float(x)
+            before = x
             if skip:
                 continue
             return Bracket(np.nan, before, Outcome.NOWHERE, before, count)
-        low, high, more = bisected(holds, last, float(x))
+        low, high, more = bisected(ahead, last, x, tick)
         return Bracket(low, high, Outcome.FOUND, before, count + more)
     if np.isnan(last):
-        return Bracket(np.nan, float(values[0]), Outcome.NOWHERE, before, count)
+        return Bracket(np.nan, ascending[0], Outcome.NOWHERE, before, count)
     return Bracket(last, np.nan, Outcome.UNLIMITED, before, count)
 
 
-def bisected(holds: Callable[[float], bool], low: float, high: float) -> tuple[float, float, int]:
+def bisected(ahead: Ahead[float, bool], low: float, high: float, tick: Tick = lambda x: None) -> tuple[float, float, int]:
     """(low, high, evaluations): holds at low, not at high, a relative ``CLOSE`` apart. Geometric bisection; arithmetic from zero."""
     count = 0
-    while high - low > CLOSE * high:
-        middle = float(np.sqrt(low * high)) if low > 0.1 * high else 0.5 * (low + high)
+    while _apart(low, high):
+        middle = _middle(low, high)
         count += 1
-        if holds(middle):
+        tick(middle)
+        if ahead(middle, _middles(low, high)):
             low = middle
         else:
             high = middle
-        if high < 1e-300:
-            break
     return low, high, count
+
+
+def _apart(low: float, high: float) -> bool:
+    return high - low > CLOSE * high and high >= 1e-300
+
+
+def _middle(low: float, high: float) -> float:
+    return float(np.sqrt(low * high)) if low > 0.1 * high else 0.5 * (low + high)
+
+
+def _middles(low: float, high: float) -> Iterator[float]:
+    """The values that a bisection asks for, whatever it finds: the first, then the two that may follow it, the four after these..."""
+    waiting = deque([(low, high)])
+    while waiting:
+        low, high = waiting.popleft()
+        if _apart(low, high):
+            middle = _middle(low, high)
+            yield middle
+            waiting += [(low, middle), (middle, high)]
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from math import inf, isnan
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.loop_step import SettlingStep
 from mfc_analysis.analysis.system import HORIZON
+from mfc_analysis.design.ahead import Ahead
 from mfc_analysis.errors import BadArgument, MfcError, UnknownName
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
@@ -22,6 +23,7 @@ from mfc_analysis.requirements.replay import replay
 from mfc_analysis.requirements.requirements import KINDS, Requirements
 
 Case = dict[str, float]
+Values = tuple[float, ...]  #: of the parameters, in their order
 
 MOST_POINTS = 1000  #: grid values of one range
 SHRINKS = 12  #: halvings of the step in the local search
@@ -82,6 +84,7 @@ def worst_case(
     points: int = 5,
     horizon: float = HORIZON,
     step: SettlingStep = "reference",
+    n_jobs: int | None = None,
 ) -> WorstCase:
     """The worst case over parameter ranges and path.
 
@@ -91,6 +94,7 @@ def worst_case(
         times: (m,) [s] of the path. at: analysis point. horizon: [s] of the verdict.
         step: of a settling time or an overshoot, as in ``Requirements``.
         metric: a field of ``Requirements``, or a function loop -> number where smaller is worse. NaN counts as worst.
+        n_jobs: processes, as in ``limits``; the result is the same.
 
     A range with ends a factor of 100 or more apart is spaced logarithmically. A case that cannot be built is recorded in ``failed``.
     Raises BadArgument, UnknownName; where no case can be analysed the last error is raised.
@@ -108,14 +112,15 @@ def worst_case(
     axes = {name: _axis(name, given, points) for name, given in ranges.items()}
     limit = {metric: KINDS[metric].low} if isinstance(metric, str) else {}
     asked = Requirements.from_mapping({**limit, "horizon": horizon, "step": step})
-    search = _Search(build, t, metric, at, asked)
-    scored = [(search.score(dict(zip(axes, values, strict=True))), values) for values in product(*(a.values for a in axes.values()))]
+    search = _Search(tuple(axes), Ahead(_Scoring(build, tuple(axes), t, metric, at, asked), n_jobs))
+    grid = list(product(*(a.values for a in axes.values())))
+    scored = [(search.score(values, map(grid.__getitem__, range(i + 1, len(grid)))), values) for i, values in enumerate(grid)]
     judged = [(s, values) for s, values in scored if s is not None]
     if not judged:
         assert search.last is not None
         raise search.last
-    best, start = min(judged, key=lambda pair: pair[0].key)
-    best, case = _local(search, axes, best, dict(zip(axes, map(float, start), strict=True)))
+    best, found = _local(search, tuple(axes.values()), *min(judged, key=lambda pair: pair[0].key))
+    case = dict(zip(axes, found, strict=True))
     loop = build(**case)
     name = metric if isinstance(metric, str) else getattr(metric, "__name__", "metric")
     call = f"print({asked.code}.check(loop, times, at={at!r}))" if name in KINDS else ""
@@ -127,28 +132,36 @@ def worst_case(
 
 @dataclass(eq=False)
 class _Search:
-    build: Callable[..., ClosedLoop]
-    times: Array
-    metric: str | Callable[[ClosedLoop], float]
-    at: str | None
-    asked: Requirements
+    """The search so far."""
+
+    names: tuple[str, ...]
+    ahead: Ahead[Values, _Score]
     count: int = 0
     failed: list[tuple[Case, str]] = field(default_factory=list)
     last: MfcError | None = None
 
-    def score(self, case: Mapping[str, float]) -> _Score | None:
+    def score(self, values: Values, then: Iterable[Values] = ()) -> _Score | None:
         """None where the case cannot be analysed; the error is recorded."""
         self.count += 1
-        given = {name: float(x) for name, x in case.items()}
         try:
-            return self._score(given)
+            return self.ahead(values, then)
         except MfcError as why:
             self.last = why
-            self.failed.append((given, str(why)))
+            self.failed.append((dict(zip(self.names, values, strict=True)), str(why)))
             return None
 
-    def _score(self, case: Case) -> _Score:
-        loop = self.build(**case)
+
+@dataclass(frozen=True, eq=False)
+class _Scoring:
+    build: Callable[..., ClosedLoop]
+    names: tuple[str, ...]
+    times: Array
+    metric: str | Callable[[ClosedLoop], float]
+    at: str | None
+    asked: Requirements
+
+    def __call__(self, values: Values) -> _Score:
+        loop = self.build(**dict(zip(self.names, values, strict=True)))
         evidence = Evidence(loop.equations, self.times, self.at, self.asked.horizon, self.asked.step)
         root = evidence.slowest_root()
         if not evidence.judged.all():
@@ -192,20 +205,22 @@ def _axis(name: str, given: Any, points: int) -> _Axis:
     return _Axis(tuple(grid.tolist()), low, high, log, True)
 
 
-def _local(search: _Search, axes: Mapping[str, _Axis], best: _Score, case: Case) -> tuple[_Score, Case]:
+def _local(search: _Search, axes: Sequence[_Axis], best: _Score, case: Values) -> tuple[_Score, Values]:
     """Pattern search: one parameter at a time; the step is halved where no move improves the result."""
-    part = 0.5 / max(len(a.values) - 1 for a in axes.values())
+    part = 0.5 / max(len(a.values) - 1 for a in axes)
+    moves = [(i, sign) for i, axis in enumerate(axes) if axis.between for sign in (1.0, -1.0)]
+
+    def moved(i: int, by: float) -> Values:
+        return (*case[:i], axes[i].moved(case[i], by), *case[i + 1 :])
+
     for _ in range(SHRINKS):
         improved = True
         while improved:
             improved = False
-            for name, axis in axes.items():
-                if not axis.between:
-                    continue
-                for sign in (1.0, -1.0):
-                    tried = {**case, name: axis.moved(case[name], sign * part)}
-                    score = search.score(tried) if tried[name] != case[name] else None
-                    if score is not None and score.key < best.key:
-                        best, case, improved = score, tried, True
+            for k in range(len(moves)):
+                tried, *then = (moved(i, sign * part) for i, sign in moves[k:])
+                score = search.score(tried, [one for one in then if one != case]) if tried != case else None
+                if score is not None and score.key < best.key:
+                    best, case, improved = score, tried, True
         part /= 2
     return best, case

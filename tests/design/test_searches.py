@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from mfc_analysis.design.ahead import Ahead
 from mfc_analysis.design.searches import Limit, Outcome, bisected, first_loss, scan
 from mfc_analysis.errors import BadArgument
 
@@ -20,7 +21,7 @@ def test_values_that_fail_at_the_beginning_are_passed_over_and_told():
 
 def test_bisection_ends_where_the_two_sides_touch_from_zero_too():
     for limit in (1e-9, 0.3, 4e7):
-        low, high, _ = bisected(lambda x, limit=limit: x < limit, 0.0, 1e9)
+        low, high, _ = bisected(Ahead(lambda x, limit=limit: x < limit), 0.0, 1e9)
         assert low < limit <= high and high - low <= 1.01e-7 * high
 
 

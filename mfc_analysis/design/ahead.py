@@ -1,0 +1,71 @@
+"""A function that a search asks at one argument after another, while other processes compute what it may ask next.
+
+The search stays sequential, and so do its results, to the last bit. What is computed and never asked for is dropped, with its error and
+its warnings.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Hashable, Iterable
+from itertools import chain, islice
+from typing import Any, Generic, NamedTuple, TypeVar, cast
+
+from mfc_analysis.linearization.chunks import checked_jobs
+
+X = TypeVar("X", bound=Hashable)
+Y = TypeVar("Y")
+
+
+class _Answer(NamedTuple):
+    """What a call returned or raised, with its warnings as arguments of ``warn_explicit``."""
+
+    value: Any
+    error: Exception | None
+    said: list[tuple[Warning | str, type[Warning], str, int]]
+
+
+class Ahead(Generic[X, Y]):
+    """``ahead(x, then)`` is ``call(x)``; with several processes the next of the arguments ``then`` are computed at the same time and kept.
+
+    ``n_jobs``: processes, -1 for one on each core; None: set by ``joblib.parallel_config``, else one. Raises BadArgument.
+    """
+
+    def __init__(self, call: Callable[[X], Y], n_jobs: int | None = None) -> None:
+        import joblib
+
+        self.call, self.n_jobs = call, checked_jobs(n_jobs)
+        self.workers = int(joblib.effective_n_jobs(n_jobs))
+        self.known: dict[X, _Answer] = {}
+        self.told: dict[Any, Any] = {}  #: registry of the warnings given
+
+    def __call__(self, x: X, then: Iterable[X] = ()) -> Y:
+        if self.workers == 1:
+            return self.call(x)
+        if x not in self.known:
+            import joblib
+
+            new = (one for one in dict.fromkeys(chain([x], islice(then, 4 * self.workers))) if one not in self.known)
+            asked = list(islice(new, self.workers))
+            if len(asked) == 1:  # nothing else to do at the same time
+                return self.call(x)
+            found = joblib.Parallel(n_jobs=self.n_jobs)(joblib.delayed(answered)(self.call, one) for one in asked)
+            self.known.update(zip(asked, cast("list[_Answer]", found), strict=True))
+        answer = self.known[x]
+        for message, category, file, line in answer.said:
+            warnings.warn_explicit(message, category, file, line, registry=self.told)
+        if answer.error is not None:
+            raise answer.error
+        return cast(Y, answer.value)
+
+
+def answered(call: Callable[[X], Y], x: X) -> _Answer:
+    """What ``call(x)`` does. A module-level function, so that every backend can send it."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        value, error = None, None
+        try:
+            value = call(x)
+        except Exception as why:  # raised where, and if, it is asked for
+            error = why
+    return _Answer(value, error, [(w.message, w.category, w.filename, w.lineno) for w in said])
