@@ -152,7 +152,7 @@ class Primitives:
         """J_b(q) x: for x = v the body twist of the tool (linear, angular)."""
         at = self.at(value(q))
         xs = value(x)
-        return chain(times(at.J, xs), (lambda: self._bracketed(at.J, xs), q), (lambda: at.J, x))
+        return chain(times(at.J, xs), (lambda: at.bracketed(xs), q), (lambda: at.J, x))
 
     def jacobian_transpose(self, q: Vector, f: Vector) -> Array | Dual:
         """J_b(q)^T f: joint torques of a tool wrench, equation 9.19."""
@@ -167,7 +167,7 @@ class Primitives:
             return np.array(pin.getFrameAcceleration(self._model, self._data, self.robot.frame_id, pin.LOCAL).vector)
         at = self.at(value(q))
         vs = value(v)
-        K = self._bracketed(at.J, vs)
+        K = at.bracketed(vs)
         if not isinstance(q, Dual) and not isinstance(v, Dual):
             return times(K, vs)
         dq, dv = self._jacobian_dot_derivatives(at.J, K, vs)
@@ -340,6 +340,7 @@ class Configuration:
     def __init__(self, primitives: Primitives, q: Array) -> None:
         self.q = q
         self._of = primitives
+        self._held: tuple[Array, Array] | None = None
 
     @cached_property
     def _kinematics(self) -> tuple[Array, Array, Array]:
@@ -377,6 +378,12 @@ class Configuration:
         for i, at in enumerate(points):
             J[i] = pin.computeFrameJacobian(model, data, at, frame, pin.LOCAL).reshape(6, of.n)  # (6,) for a single joint
         return of._unordered(J).reshape(*self.q.shape[:-1], 6, of.n)
+
+    def bracketed(self, x: Array) -> Array:
+        """d(J x)/dq with x held, (..., 6, n); kept for a repeated call with the same array, as J v and J' v make it."""
+        if self._held is None or self._held[0] is not x:
+            self._held = x, self._of._bracketed(self.J, x)
+        return self._held[1]
 
     @property
     def R(self) -> Array:
