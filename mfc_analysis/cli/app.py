@@ -134,7 +134,10 @@ def compare(
     second: StudyFile,
     out: Annotated[Path | None, typer.Option(help="Folder for the pictures of the costs (SVG).")] = None,
 ) -> None:
-    """Compare two studies: what changed, what it did to each requirement, and what each imperfection costs in both."""
+    """Compare two studies.
+
+    What changed, what it did to each requirement, and what each imperfection costs in both.
+    """
     from mfc_analysis.cli import compare as compare_command
 
     with terminal.progress("compare") as advance:
