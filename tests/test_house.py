@@ -40,7 +40,7 @@ FLOORS["__main__"] = {"cli"}
 
 FILES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in sorted((ROOT / PACKAGE).rglob("*.py"))}
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
-LIBRARIES = {"pinocchio": "robots", "matplotlib": "plots", "solve_ivp": "simulation"}
+LIBRARIES = {"pinocchio": "robots", "matplotlib": "plots", "solve_ivp": "simulation", "ruamel": "study"}
 
 
 def imports(name: str) -> set[tuple[str, str]]:

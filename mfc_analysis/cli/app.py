@@ -161,6 +161,29 @@ def init(
 
 @app.command()
 @terminal.guarded
+def export(
+    study: StudyFile,
+    to: Annotated[str, typer.Option(help="Where the gains go: ros2_control.")] = "ros2_control",
+    source: Annotated[Path | None, typer.Option("--from", help="Instead: read the gains of this parameter file into the study.")] = None,
+    controller: Annotated[str, typer.Option(help="joint_trajectory_controller or pid_controller.")] = "joint_trajectory_controller",
+    name: Annotated[str, typer.Option(help="Name of the controller in the file; default: that of its type.")] = "",
+    out: Annotated[Path | None, typer.Option(help="File to write; the other lines of a parameter file that exists stay. Default: print it.")] = None,
+) -> None:
+    """Write a study's gains for the controller on the arm, in its units; or read them from its parameter file."""
+    from mfc_analysis.cli import export as export_command
+
+    if source is None:
+        made = export_command.to_controller(study, to, controller, name, out)
+        text, notes = made.text, made.notes
+    else:
+        text, notes = export_command.from_controller(study, source, name, out)
+    terminal.say(*([text.rstrip("\n")] if out is None else [out]))
+    for note in notes:
+        terminal.complain(f"note: {note}")
+
+
+@app.command()
+@terminal.guarded
 def studies(
     copy: Annotated[Path | None, typer.Option(help="Copy the studies into this folder as a starting point.")] = None,
     keys: Annotated[bool, typer.Option("--keys", help="List all tables that a study can have, with their keys.")] = False,
