@@ -200,11 +200,14 @@ class Comparison:
         title, verdict, *_ = str(self).splitlines()
         return table(title, ("margin", "measured", "model", "difference"), self.rows(), [verdict.strip()])
 
-    def plot(self, axes: tuple[Axes, Axes, Axes] | None = None) -> tuple[Axes, Axes, Axes]:
-        """Gain and phase of both loops over the frequency [rad/s], and the misfit."""
-        from mfc_analysis.plots.measured import comparison
+    def plot(self, *, ax: tuple[Axes, Axes, Axes] | None = None) -> Axes:
+        """Gain and phase of both loops over the frequency [rad/s], and the misfit of the phase. Returns the uppermost axes.
 
-        return comparison(self, axes=axes)
+        ``ax``: three to draw in; None: a new figure of pyplot.
+        """
+        from mfc_analysis import plots
+
+        return plots.comparison(self, axes=ax or plots.shown("three histories"))[0]
 
 
 MARGINS = (

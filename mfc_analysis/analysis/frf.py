@@ -68,11 +68,14 @@ class FrequencyResponse:
         """The response at some of its frequencies, (k,) booleans."""
         return FrequencyResponse(self.frequencies[some], self.response[some], self.coherence[some], self.averages[some], self.method)
 
-    def plot(self, axes: tuple[Axes, Axes, Axes] | None = None) -> tuple[Axes, Axes, Axes]:
-        """Gain [dB], phase [deg] and coherence over the frequency [rad/s]."""
-        from mfc_analysis.plots.measured import response
+    def plot(self, *, ax: tuple[Axes, Axes, Axes] | None = None) -> Axes:
+        """Gain [dB], phase [deg] and coherence over the frequency [rad/s]. Returns the uppermost axes.
 
-        return response(self, axes=axes)
+        ``ax``: three to draw in; None: a new figure of pyplot.
+        """
+        from mfc_analysis import plots
+
+        return plots.response(self, axes=ax or plots.shown("three histories"))[0]
 
     def _bands(self) -> str:
         """The bands in which the response is coherent."""

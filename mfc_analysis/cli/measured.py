@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,9 +36,10 @@ def response(
 
 def drawn(what: FrequencyResponse | Comparison, path: Path) -> str:
     """Draws a result into an SVG file; returns the path. Raises BadArgument for another ending."""
-    from mfc_analysis.plots import svg
+    from mfc_analysis import plots
+    from mfc_analysis.analysis.comparison import Comparison
 
     if path.suffix.lower() != ".svg":
         raise BadArgument("--plot", str(path), "a file name that ends in .svg")
-    files.write(path, svg(what.plot).encode("utf-8"))
+    files.write(path, plots.svg(partial(plots.comparison if isinstance(what, Comparison) else plots.response, what)).encode("utf-8"))
     return str(path)

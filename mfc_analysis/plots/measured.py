@@ -12,13 +12,13 @@ from mfc_analysis.plots import figure as sheet
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Three = tuple["Axes", "Axes", "Axes"]
+Three = tuple["Axes", ...]  #: three of them
 
 
 def response(found: Any, *, axes: Three | None = None) -> Three:
     """Gain [dB], phase [deg] and coherence of a ``FrequencyResponse`` over the frequency [rad/s]."""
     w = np.asarray(found.frequencies, float)
-    panels = axes if axes is not None else _panels()
+    panels = axes if axes is not None else sheet.panels_for("three histories")
     for ax, values in zip(panels, (found.gain_db, found.phase_deg, found.coherence), strict=True):
         sheet.log_grid(ax, w[0], w[-1])
         ax.plot(w, np.asarray(values, float), color=sheet.colour(0), linewidth=1.1)
@@ -35,7 +35,7 @@ def comparison(found: Any, *, axes: Three | None = None) -> Three:
     w, good = np.asarray(found.frequencies, float), np.asarray(found.trusted, bool)
     model = np.degrees(np.unwrap(np.angle(found.model)))
     measured = model + np.asarray(found.phase_deg, float)
-    panels = axes if axes is not None else _panels()
+    panels = axes if axes is not None else sheet.panels_for("three histories")
     span = w[good] if good.any() else w
     low, high = max(w[0], span[0] / 2), min(w[-1], 2 * span[-1])
     gains = 20 * np.log10(np.abs(found.model))
@@ -59,11 +59,6 @@ def comparison(found: Any, *, axes: Three | None = None) -> Three:
     sheet.legend(panels[0], above=True)
     _labels(panels, ("|L| [dB]", "arg L [deg]", "misfit [deg]"), "Measured loop over the model")
     return panels
-
-
-def _panels() -> Three:
-    upper, middle, lower = sheet.panels_for("three histories")
-    return upper, middle, lower
 
 
 def _dots(ax: Axes, w: Array, values: Array, good: Bools) -> None:

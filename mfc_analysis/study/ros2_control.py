@@ -265,9 +265,10 @@ def _read(text: str) -> tuple[Any, Any]:
         raise BadArgument("parameters", " ".join(str(why).split())[:200], "a parameter file of ros2_control (YAML)") from why
     if not isinstance(tree, Mapping):
         raise BadArgument("parameters", type(tree).__name__, "a parameter file of ros2_control: a mapping of nodes to ros__parameters")
+    made: Any = tree
     if not text.strip():
-        tree.fa.set_block_style()
-    return yaml, tree
+        made.fa.set_block_style()
+    return yaml, made
 
 
 def _inner(tree: Any, keys: Sequence[str]) -> Any:

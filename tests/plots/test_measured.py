@@ -23,7 +23,7 @@ def compared() -> Comparison:
 
 def test_a_response_has_gain_phase_and_coherence():
     found = FrequencyResponse(W, L, np.linspace(1, 0, 60), np.full(60, 8.0), "test")
-    gain, phase, coherence = found.plot()
+    gain, phase, coherence = response(found)
     assert_allclose(lines(gain)[0], np.column_stack([W, 20 * np.log10(4 / W)]))
     assert_allclose(lines(phase)[0][:, 1], -90.0)
     assert_allclose(lines(coherence)[0][:, 1], np.linspace(1, 0, 60))
@@ -32,7 +32,7 @@ def test_a_response_has_gain_phase_and_coherence():
 
 def test_the_misfit_of_a_dead_time_falls_and_what_is_not_trusted_is_grey():
     found = compared()
-    gain, phase, misfit = found.plot()
+    gain, phase, misfit = comparison(found)
     grey, good = (lines(misfit, color=c)[0] for c in (sheet.GREY, sheet.colour(1)))
     assert_allclose(good[:, 1], -np.degrees(0.05 * good[:, 0]))
     assert_allclose(good[:, 0], W[found.trusted])
@@ -40,3 +40,17 @@ def test_the_misfit_of_a_dead_time_falls_and_what_is_not_trusted_is_grey():
     assert_allclose(lines(phase, color=sheet.colour(0))[0][:, 1], -90.0)
     assert legend(gain) == ["model", "not trusted", "measured"] and len(marks(gain, ".")) == 2
     assert gain.patches and comparison(found, axes=(gain, phase, misfit))[2] is misfit
+
+
+def test_a_result_draws_itself_with_pyplot_or_in_the_axes_given():
+    from matplotlib import pyplot
+
+    found = compared()
+    try:
+        upper = found.plot()
+        assert pyplot.gcf() is upper.figure and len(upper.figure.axes) == 3
+        given = sheet.panels_for("three histories")
+        assert found.plot(ax=given) is given[0] and pyplot.get_fignums() == [upper.figure.number]
+        assert FrequencyResponse(W, L, np.ones(60), np.full(60, 8.0), "test").plot(ax=given) is given[0]
+    finally:
+        pyplot.close("all")
