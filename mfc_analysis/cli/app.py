@@ -169,7 +169,10 @@ def export(
     name: Annotated[str, typer.Option(help="Name of the controller in the file; default: that of its type.")] = "",
     out: Annotated[Path | None, typer.Option(help="File to write; the other lines of a parameter file that exists stay. Default: print it.")] = None,
 ) -> None:
-    """Write a study's gains for the controller on the arm, in its units; or read them from its parameter file."""
+    """Write gains for the controller on the arm, in its units.
+
+    Or read them from its parameter file into a study.
+    """
     from mfc_analysis.cli import export as export_command
 
     if source is None:
