@@ -22,6 +22,7 @@ from mfc_analysis.analysis.channels import Channels, channels, continuous
 from mfc_analysis.analysis.delay.margins import delayed_metrics
 from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delays, places
 from mfc_analysis.analysis.frequency.crossings import crossings
+from mfc_analysis.analysis.frequency.grid import on_grid
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, sensitivity_peak, thinned
 from mfc_analysis.analysis.frequency.resolvent import resolvent
 from mfc_analysis.analysis.margin_metrics import MarginMetrics, also_late, assembled, frequency, put
@@ -202,13 +203,13 @@ def _metrics(system: OpenSystem, at_point: str, ch: Channels, modes: Modes) -> M
     w = frequencies_of_interest(found.poles, float(np.tan(radius * dt / 2)) if dt else radius)
     if not found.modal.any():  # each of them costs a linear solution
         w = thinned(w, found.poles)
-    H = found.on(w)
-    gain, phase = crossings(found, w, H)
+    grid = on_grid(found, w)
+    gain, phase = crossings(grid)
     at = places(radius, dt)
     theta = angles(rates(modes[0], dt), radius)
     on_arc = found.over(at(theta))
     arc = arc_crossings(radius, theta, on_arc, at, lambda point, channel, s: found.at_place(point, channel, s)[0])
-    peak, peak_at = sensitivity_peak(found, w, H)
+    peak, peak_at = sensitivity_peak(grid)
     metrics = assembled(gain, phase, arc, found.ch.H0, lambda w: frequency(w, dt))
     if not dt:
         also_late(metrics, *arc_delays(theta, on_arc, at, lambda point, channel, s: found.at_place(point, channel, s)[0], metrics["delay"]))

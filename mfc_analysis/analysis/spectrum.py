@@ -24,7 +24,7 @@ class Spectrum:
 
     poles: Complex  #: (m, nx) [rad/s], or in the z plane
     slow: Bools  #: (m, nx) True for the slow poles
-    A: Array  #: (m, nx, nx) of the closed loop
+    A: Array | None  #: (m, nx, nx) of the closed loop; None may stand for it where no pole is slow
     radius: float  #: [1/s] of the disc of the slow poles
     dt: float  #: [s] 0: continuous
 
@@ -44,7 +44,7 @@ class Spectrum:
         Where rounding mixes them: None if another pole does not decay, since that settles the verdict; else raises ``NotConverged``.
         """
         count = int(self.slow[index].sum())
-        if not count:
+        if not count or self.A is None:
             return None
         try:
             return parts(self.A[index], self.radius, self.dt, count)
@@ -76,9 +76,14 @@ def rates(poles: Complex, dt: float) -> Complex:
 
 def spectrum(system: OpenSystem, eigenvalues: Complex | None = None) -> Spectrum:
     """Poles of the closed loop, dead time left out. ``eigenvalues``: (m, nx), if already known."""
-    A, dt, radius = close_wires(system)[0], system.dt, system.radius
-    found = np.asarray(np.linalg.eigvals(A) if eigenvalues is None else eigenvalues, np.complex128).reshape(A.shape[:2])
+    dt, radius, A = system.dt, system.radius, None
+    if eigenvalues is None:
+        A = close_wires(system)[0]
+        eigenvalues = np.asarray(np.linalg.eigvals(A), np.complex128)
+    found = eigenvalues.reshape(system.A.shape[:2])
     slow = np.abs(rates(found, dt)) < radius
+    if A is None and slow.any():
+        A = close_wires(system)[0]
     s = rates(found, 1.0 if dt else 0.0)
     order = np.lexsort((-s.imag, np.abs(s.imag), np.abs(s.real), ~slow), axis=1)
     return Spectrum(np.take_along_axis(found, order, 1), np.take_along_axis(slow, order, 1), A, radius, dt)

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfc_analysis.analysis.channels import Channels
-from mfc_analysis.analysis.frequency.exclusion import Intervals, crossover_intervals, narrowed
+from mfc_analysis.analysis.frequency.exclusion import crossover_intervals, narrowed, phase_intervals
+from mfc_analysis.analysis.frequency.grid import Grid
 from mfc_analysis.analysis.frequency.resolvent import Resolvent
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
@@ -45,33 +46,37 @@ class Crossings:
             return np.asarray(-self.H / (1 + self.H))
 
 
-def crossings(found: Resolvent, w: Array, H: Complex) -> tuple[Crossings, Crossings]:
+def crossings(grid: Grid) -> tuple[Crossings, Crossings]:
     """All gain crossovers (|L| = 1) and all phase crossings (L real) at w[:, 0] <= w < inf of every point and channel.
 
-    ``H``: (m, n, k) on the increasing frequencies ``w`` (m, k) of interest; the first, 1/horizon, is the same for all points. Where modes
-    are known, ``exclusion`` isolates the crossovers between them; this is cheaper than the eigenvalue problem, which is used where
-    exclusion stops early.
+    The first frequency of the grid, 1/horizon, is the same for all points. Where modes are known, ``exclusion`` isolates the crossings between
+    the frequencies; this is cheaper than the eigenvalue problem, which is used where exclusion stops early.
     """
-    left = np.ones(found.ch.H0.shape, bool)  # channels for the eigenvalue problem
-    parts: list[tuple[Ints, Ints, Array]] = []
+    found, lowest = grid.found, float(grid.w[0, 0])
+    left = np.stack([~found.ch.empty] * 2)  # channels for the eigenvalue problem
+    starts: list[list[tuple[Ints, Ints, Array]]] = [[], []]
     modal = np.asarray(np.flatnonzero(found.modal), np.int64)
     if modal.size:
-        some, failed = crossover_intervals(found.some(modal), w[modal], H[modal])
-        left[modal] = failed
-        some = Intervals(modal[some.point], some.channel, some.a, some.b, some.fa, some.fb)
-        parts.append((some.point, some.channel, narrowed(found, some)))
-    left &= ~found.ch.empty
-    lowest = float(w[0, 0])
-    gain, phase = _squared_frequencies(found.ch, found.poles, left, lowest)
-    parts.append(_candidates(gain, lowest))
-    point, channel = np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
-    start = np.concatenate([part[2] for part in parts])
-    both = _polished(found, point, channel, start, gain=True), _polished(found, *_candidates(phase, lowest), gain=False)
-    return both[0][both[0].w >= lowest], both[1][both[1].w >= lowest]
+        part = grid.some(modal)
+        for which, (known, some, failed) in enumerate(((part.found, *crossover_intervals(part)), phase_intervals(part))):
+            left[which, modal] &= failed
+            starts[which].append((modal[some.point], some.channel, narrowed(known, some)))
+    points = np.asarray(np.flatnonzero(left.any(axis=(0, 2))), np.int64)
+    if points.size:
+        for start, squared in zip(starts, _squared_frequencies(found.ch.at(points), found.poles[points], left[:, points], lowest), strict=True):
+            point, channel, w = _candidates(squared, lowest)
+            start.append((points[point], channel, w))
+    gain, phase = (_polished(found, *_joined(start), gain=k == 0) for k, start in enumerate(starts))
+    return gain[gain.w >= lowest], phase[phase.w >= lowest]
 
 
-def _squared_frequencies(ch: Channels, poles: Complex, with_gain: Bools, lowest: float) -> tuple[Complex, Complex]:
-    """w^2 (m, n, nx) of the gain crossovers (channels ``with_gain`` (m, n)) and of the phase crossings, complex and infinite ones included."""
+def _joined(starts: list[tuple[Ints, Ints, Array]]) -> tuple[Ints, Ints, Array]:
+    point, channel, w = (np.concatenate(each) for each in zip(*starts, strict=True)) if starts else (np.zeros(0, int), np.zeros(0, int), np.zeros(0))
+    return point, channel, w
+
+
+def _squared_frequencies(ch: Channels, poles: Complex, wanted: Bools, lowest: float) -> tuple[Complex, Complex]:
+    """w^2 (m, n, nx) of the gain crossovers and of the phase crossings of the channels ``wanted`` (2, m, n), complex and infinite ones included."""
     m, nx = ch.A.shape[:2]
     n = ch.B.shape[2]
     size = np.maximum(np.abs(poles), lowest)
@@ -83,8 +88,8 @@ def _squared_frequencies(ch: Channels, poles: Complex, with_gain: Bools, lowest:
     cGb = np.einsum("mnx,mxn->mn", ch.C, Gb)
     gap = ch.H0 + 0.5 - np.einsum("mnx,mxn->mn", ch.C, AGb)
     inverse = np.full((2, m, n, nx), np.nan, np.complex128)
-    for which, column, scale, wanted in ((0, AGb, gap, with_gain), (1, -Gb, cGb, ~ch.empty)):
-        p, k = np.nonzero(wanted)
+    for which, column, scale in ((0, AGb, gap), (1, -Gb, cGb)):
+        p, k = np.nonzero(wanted[which])
         if p.size:
             row = cG[p, k] / _nonzero(scale[p, k])[:, None]
             inverse[which, p, k] = np.linalg.eigvals(G[p] + column[p, :, k][:, :, None] * row[:, None, :])

@@ -10,14 +10,16 @@ bound; it holds at most one if its chord is steeper than 2 (b - a) sum |r_k| / d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mfc_analysis.analysis.frequency.grid import Grid, inverse_cubes
 from mfc_analysis.analysis.frequency.resolvent import Resolvent
-from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
+from mfc_analysis.maths.arrays import Array, Bools, Ints
 
 HALVINGS = 40
+FARTHEST = 100.0  #: times the last frequency of the grid: farther up phase crossings are left to the eigenvalue problem
 MOST = 60  #: most open intervals of one channel, on average; above this the eigenvalue problem is used
 
 
@@ -36,23 +38,38 @@ class Intervals:
         return Intervals(*(x[some] for x in vars(self).values()))
 
 
-def crossover_intervals(found: Resolvent, w: Array, H: Complex) -> tuple[Intervals, Bools]:
-    """Intervals with exactly one gain crossover each, and (m, n) where some crossovers are not found.
+def crossover_intervals(grid: Grid) -> tuple[Intervals, Bools]:
+    """Intervals with exactly one gain crossover each, and (m, n) where some crossovers are not found. Of points that are all modal."""
+    return _isolated(grid.found, grid, grid.H.real + 0.5, _gain_end(grid.found))
 
-    ``w``: (m, k) increasing frequencies from 0, ``H``: (m, n, k) at these, for points that are all modal.
+
+def phase_intervals(grid: Grid) -> tuple[Resolvent, Intervals, Bools]:
+    """The same of the phase crossings: Im H = 0. They are the crossovers of -j (H - H0) - 1/2, the first of what is returned.
+
+    None are found on a grid from 0 on, where Im H is 0.
     """
-    f = H.real + 0.5
+    found = grid.found
+    turned = replace(found, ch=replace(found.ch, H0=np.full(found.ch.H0.shape, -0.5)), residues=-1j * found.residues)
+    end = grid.real_end()
+    known = (end < FARTHEST * grid.w[:, -1:]) & (grid.w[:, :1] > 0)
+    some, failed = _isolated(turned, grid, grid.H.imag, np.where(known, end, np.inf))
+    return turned, some, failed
+
+
+def _isolated(found: Resolvent, grid: Grid, f: Array, end: Array) -> tuple[Intervals, Bools]:
+    """Intervals with exactly one zero of f each, and where some are not found.
+
+    ``f``: (m, n, k) on the grid; ``end``: (m, n) [rad/s] above which it has no zero.
+    """
+    w, bend = grid.w, grid.bend
     weight = np.abs(found.residues)
-    failed = np.asarray(~np.isfinite(f).all(axis=2), bool)
-    bend = weight @ inverse_cubes(found.poles, w[:, :-1], w[:, 1:])
-    open_ = ~_empty(f[..., :-1], f[..., 1:], (w[:, 1:] - w[:, :-1])[:, None], bend)
+    failed = ~np.isfinite(f).all(axis=2) | np.isinf(end)
+    open_ = ~_empty(f[..., :-1], f[..., 1:], (w[:, 1:] - w[:, :-1])[:, None], bend) & (w[:, None, :-1] < end[..., None])
     point, channel, k = np.nonzero(open_ & ~failed[..., None])
     first = Intervals(point, channel, w[point, k], w[point, k + 1], f[point, channel, k], f[point, channel, k + 1])
     steep = _steep(first, bend[point, channel, k])
-    far, infinite = _far_end(found, w[:, -1], weight)
-    failed |= infinite
-    point, channel = np.nonzero((far > w[:, -1:]) & ~failed)
-    tail = Intervals(point, channel, w[point, -1], far[point, channel], f[point, channel, -1], np.zeros(point.size))
+    point, channel = np.nonzero((end > w[:, -1:]) & ~failed)
+    tail = Intervals(point, channel, w[point, -1], end[point, channel], f[point, channel, -1], np.zeros(point.size))
     tail = Intervals(point, channel, tail.a, tail.b, tail.fa, _f(found, point, channel, tail.b))
     return _halved(found, weight, [first[steep]], _together([first[~steep], tail]), failed)
 
@@ -107,14 +124,6 @@ def _f(found: Resolvent, point: Ints, channel: Ints, w: Array) -> Array:
     return np.asarray(found.at(point, channel, w)[0].real + 0.5)
 
 
-def inverse_cubes(poles: Complex, a: Array, b: Array) -> Array:
-    """1/d^3 (m, nx, k) of poles (m, nx) from the segments j[a, b], (m, k) each."""
-    height = poles.imag[:, :, None]
-    away = np.maximum(np.maximum(a[:, None, :] - height, height - b[:, None, :]), 0.0)
-    square = away * away + (poles.real**2)[:, :, None]
-    return np.asarray(1 / (square * np.sqrt(square)))
-
-
 def _empty(fa: Array, fb: Array, h: Array, bend: Array) -> Bools:
     same = (fa >= 0) == (fb >= 0)
     return np.asarray(same & (np.minimum(np.abs(fa), np.abs(fb)) > 0.25 * h * h * bend))
@@ -126,14 +135,12 @@ def _steep(some: Intervals, bend: Array) -> Bools:
     return np.asarray(crosses & (np.abs(some.fb - some.fa) > 2 * h * h * bend))
 
 
-def _far_end(found: Resolvent, last: Array, weight: Array) -> tuple[Array, Bools]:
-    """(m, n) [rad/s] above which f keeps the sign of its limit, and (m, n) where that limit is zero."""
+def _gain_end(found: Resolvent) -> Array:
+    """(m, n) [rad/s] above which f keeps the sign of its limit; inf where that limit is zero."""
     limit = np.abs(found.ch.H0 + 0.5)
-    total = weight.sum(axis=2)
     infinite = limit < 1e-9
-    fastest = np.abs(found.poles).max(axis=1)[:, None]
-    far = fastest + 1.01 * total / np.where(infinite, 1.0, limit)
-    return np.where(far > last[:, None], far, 0.0), infinite
+    total = np.abs(found.residues).sum(axis=2)
+    return np.where(infinite, np.inf, np.abs(found.poles).max(axis=1)[:, None] + 1.01 * total / np.where(infinite, 1.0, limit))
 
 
 def _together(parts: list[Intervals]) -> Intervals:

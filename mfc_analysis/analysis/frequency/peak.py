@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mfc_analysis.analysis.frequency.exclusion import inverse_cubes
+from mfc_analysis.analysis.frequency.grid import Grid
 from mfc_analysis.analysis.frequency.resolvent import Resolvent
 from mfc_analysis.analysis.frequency.taylor import NODES, left_over, over_cells, pole_terms
 from mfc_analysis.maths.arrays import Array, Complex, Ints
@@ -25,7 +25,7 @@ WAVES = 50  #: most divisions of an interval
 
 
 def frequencies_of_interest(poles: Complex, lowest: float) -> Array:
-    """(m, k) increasing frequencies [rad/s] from ``lowest`` on that resolve every resonance of the poles (m, nx)."""
+    """(m, k) increasing frequencies [rad/s] from ``lowest`` on that resolve every resonance of the poles (m, nx). The last may be repeated."""
     size = np.abs(poles)
     top = np.maximum(size.max(axis=1, keepdims=True), lowest or 1e-300)
     size = np.where(size > 1e-9 * top, np.maximum(size, lowest), top)
@@ -35,7 +35,9 @@ def frequencies_of_interest(poles: Complex, lowest: float) -> Array:
     slow, fast = np.log(size.min(axis=1)) - 4.6, np.log(top[:, 0]) + 4.6
     ladder = np.exp(slow[:, None] + (fast - slow)[:, None] * np.linspace(0, 1, LADDER))
     every = np.concatenate([near.reshape(len(poles), -1), ladder], axis=1)
-    return np.sort(np.concatenate([np.full((len(poles), 1), lowest), np.where(every > lowest, every, ladder[:, -1:])], axis=1), axis=1)
+    some = every > lowest
+    found = np.sort(np.concatenate([np.full((len(poles), 1), lowest), np.where(some, every, ladder[:, -1:])], axis=1), axis=1)
+    return found[:, : 1 + int(some.sum(axis=1).max())]
 
 
 def thinned(w: Array, poles: Complex) -> Array:
@@ -59,12 +61,10 @@ def _distance(w: Array, poles: Complex) -> Array:
     return np.asarray(np.sqrt(squared.min(axis=1)))
 
 
-def sensitivity_peak(found: Resolvent, w: Array, H: Complex) -> tuple[Array, Array]:
-    """Largest |S_i| (m, n) from the lowest of the frequencies of interest ``w`` (m, k) to infinity, and its frequency (m, n) [rad/s].
-
-    ``H``: S_i - 1 (m, n, k) at these frequencies.
-    """
-    size = np.abs(1 + H)
+def sensitivity_peak(grid: Grid) -> tuple[Array, Array]:
+    """Largest |S_i| (m, n) from the lowest frequency of a grid (``frequencies_of_interest``) to infinity, and its frequency (m, n) [rad/s]."""
+    found, w = grid.found, grid.w
+    size = np.abs(1 + grid.H)
     ends = np.stack([size[..., 0], np.abs(1 + found.ch.H0)])
     low, high = np.pad(size, ((0, 0), (0, 0), (1, 0)))[..., :-1], np.pad(size, ((0, 0), (0, 0), (0, 1)))[..., 1:]
     top = (size >= low) & (size >= high)
@@ -78,29 +78,26 @@ def sensitivity_peak(found: Resolvent, w: Array, H: Complex) -> tuple[Array, Arr
     peak, at = np.zeros(best.shape), np.full(best.shape, np.inf)
     order = np.argsort(value, kind="stable")  # of several values the last one written, the highest, stays
     peak[point[order], channel[order]], at[point[order], channel[order]] = value[order], where[order]
-    grid = np.argmax(size, axis=2)
+    highest = np.argmax(size, axis=2)
     higher = best > peak
-    peak, at = np.where(higher, best, peak), np.where(higher, np.take_along_axis(w, grid, 1), at)
+    peak, at = np.where(higher, best, peak), np.where(higher, np.take_along_axis(w, highest, 1), at)
     for end, frequency in zip(ends, (w[:, :1], np.full((1, 1), np.inf)), strict=True):
         better = end >= peak * (1 - 1e-12)
         peak, at = np.where(better, end, peak), np.where(better, frequency, at)
-    _search(found, w, 1 + H, peak, at)
+    _search(grid, size, peak, at)
     return peak, at
 
 
-def _search(found: Resolvent, w: Array, S: Complex, peak: Array, at: Array) -> None:
-    """Raises ``peak`` and its frequency ``at`` (m, n) in place where S exceeds it by more than ``CERTAIN`` between the frequencies w.
+def _search(grid: Grid, size: Array, peak: Array, at: Array) -> None:
+    """Raises ``peak`` and its frequency ``at`` (m, n) in place where |S| exceeds it by more than ``CERTAIN`` between the frequencies.
 
-    Of the points with modes. Intervals in which it cannot are excluded: at first by the deviation from the chord, then by Taylor polynomials
-    (``taylor``). The others are divided.
+    Of the points with modes. Intervals in which it cannot are excluded: those above all poles by the moments, then by the deviation from the
+    chord, then by Taylor polynomials (``taylor``). The others are divided. ``size`` (m, n, k): |S| on the grid.
     """
-    modal = np.asarray(np.flatnonzero(found.modal), np.int64)
-    size = np.abs(S[modal])
-    h = np.diff(w[modal], axis=1)
-    bend = np.abs(found.residues[modal]) @ inverse_cubes(found.poles[modal], w[modal, :-1], w[modal, 1:])
-    over = np.maximum(size[..., 1:], size[..., :-1]) + (h * h)[:, None] / 4 * bend > peak[modal, :, None] * (1 + CERTAIN)
-    point, channel, k = np.nonzero(over & (h > 0)[:, None])
-    point = modal[point]
+    found, w = grid.found, grid.w
+    h, end = np.diff(w, axis=1), grid.peak_end(peak * (1 + CERTAIN))
+    over = np.maximum(size[..., 1:], size[..., :-1]) + (h * h)[:, None] / 4 * grid.bend > peak[..., None] * (1 + CERTAIN)
+    point, channel, k = np.nonzero(over & (h > 0)[:, None] & found.modal[:, None, None] & (w[:, None, :-1] < end[..., None]))
     c, r = (w[point, k + 1] + w[point, k]) / 2, (w[point, k + 1] - w[point, k]) / 2
     raised = np.zeros(peak.shape)  # half the width of the interval
     for _ in range(WAVES):

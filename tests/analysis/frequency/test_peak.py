@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mfc_analysis.analysis.channels import channels
+from mfc_analysis.analysis.frequency.grid import on_grid
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, sensitivity_peak, thinned
 from mfc_analysis.analysis.frequency.resolvent import resolvent
 from mfc_analysis.analysis.margins import margins
@@ -62,7 +63,7 @@ def test_a_narrow_peak_between_the_frequencies_is_not_missed(w):
     # the higher of two resonances, 0.1 % damped, at 200 rad/s: no frequency near it, or only a repeated one at its left
     L = control.tf(1.0 / (s + 1)) + 0.02 * s / (s**2 + 0.01 * s + 25) - 0.03 * s / (s**2 + 0.05 * s + 4e4)
     found = resolvent(channels(open_system(L), "torque"))
-    peak, at = sensitivity_peak(found, w, found.on(w))
+    peak, at = sensitivity_peak(on_grid(found, w))
     fine = np.linspace(199, 201, 400_001)
     S = np.abs(1 / (1 + L(1j * fine)))
     assert_allclose(peak, S.max(), rtol=1e-8)
