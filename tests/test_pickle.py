@@ -34,6 +34,8 @@ WITHIN = {
     "Channels",
     "Crossings",
     "Delayed",
+    "Sensitivities",
+    "Stacked",
     "DelayedVerdict",
     "ForceDesign",
     "Intervals",

@@ -176,20 +176,20 @@ def margins(system: OpenSystem, at: str, verdict: Stability | None = None) -> Ma
     silent = channels(system, at).empty if at == "force" else None
     system = without_idle(system)
     ch = channels(system, at)
-    modes = np.linalg.eig(ch.A)
-    if verdict is None or not system.delayed:
-        verdict = stability(system, spectrum(system, modes[0].astype(np.complex128)))
-    judged = verdict.nonzero_stable
-    metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
-    some = np.flatnonzero(judged)
     if system.delayed:
-        metrics = delayed_metrics(system, at, judged, verdict.walks)
-    elif some.size:
-        put(metrics, some, _metrics(system.at(some), at, ch.at(some), (modes[0][some], modes[1][some])))
+        verdict = stability(system) if verdict is None else verdict
+        metrics = delayed_metrics(system, at, verdict.nonzero_stable, verdict.walks)
+    else:
+        modes = np.linalg.eig(ch.A)
+        verdict = stability(system, spectrum(system, modes[0].astype(np.complex128)))
+        metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
+        some = np.flatnonzero(verdict.nonzero_stable)
+        if some.size:
+            put(metrics, some, _metrics(system.at(some), at, ch.at(some), (modes[0][some], modes[1][some])))
     if silent is not None:
         for values in vars(metrics).values():
             values[silent] = np.nan
-    return Margins(system.times, at, ch.names, judged, verdict.drifts, **vars(metrics))
+    return Margins(system.times, at, ch.names, verdict.nonzero_stable, verdict.drifts, **vars(metrics))
 
 
 Modes = tuple[NDArray[Any], NDArray[Any]]  # eigenvalues (m, nx) and vectors (m, nx, nx)

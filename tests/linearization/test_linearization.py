@@ -276,9 +276,9 @@ def test_the_table_of_roots_is_that_of_the_characteristic_equation():
 
 def test_the_unstable_roots_of_a_loop_with_dead_time_are_counted_once_for_all_its_margins(monkeypatch):
     counted = []
-    count = verdict.unstable_roots
-    monkeypatch.setattr(verdict, "unstable_roots", lambda point, *about: counted.append(point) or count(point, *about))
+    count = verdict.unstable_counts
+    monkeypatch.setattr(verdict, "unstable_counts", lambda points, *about: counted.append(points) or count(points, *about))
     law, path = mfc.laws.ComputedTorque(100, 80, 20), mfc.trajectories.Sinusoid([0.3, -0.4], 0.2, 1.0)
     lin = mfc.ClosedLoop(mfc.robots.planar_2r(), law, path, hardware=mfc.Hardware(delay=4e-3)).linearize([0.0, 0.3, 0.7])
     assert lin.stable.all() and all(np.isfinite(lin.margins(at).phase_deg).all() for at in ("torque", "command", "position"))
-    assert len(counted) == 3
+    assert [len(points.A) for points in counted] == [3]

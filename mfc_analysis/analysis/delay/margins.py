@@ -1,11 +1,6 @@
 """Exact margins of loops with dead time: e^(-jwT) on every delayed wire, without Pade approximation.
 
-With W(s) = (I - G(s))^-1, the closed loop without dead time from after each cut to after each cut (G: all wires cut), and
-E = diag(e^(-s T)), the sensitivities of the loop with dead time are
-
-    (I - E G)^-1 = W [(I - E) W + E]^-1,        S_i = e_i W [(I - E) W + E]^-1 p_i,
-
-p_i = e_i (at "position": e_q + s e_v). There are infinitely many crossings. They are bracketed on a frequency grid that
+There are infinitely many crossings of the sensitivities (``sensitivities``). They are bracketed on a frequency grid that
 resolves the open and closed poles, the roots of the loop with dead time near the axis (by the samples of the verdict's count), and the phase of
 e^(-jwT); then polished. The search continues to higher frequencies until no further crossing can limit a margin. No frequency below
 1/horizon counts; a gain interval also ends on the indentation of the contour (``arc``).
@@ -14,17 +9,17 @@ e^(-jwT); then polished. The search continues to higher frequencies until no fur
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.analysis.channels import Channels, channels, has_rate, point_wires
+from mfc_analysis.analysis.channels import Channels, channels
+from mfc_analysis.analysis.delay.grid import between, room
+from mfc_analysis.analysis.delay.sensitivities import Sensitivities, sensitivities
 from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delays, places
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
-from mfc_analysis.analysis.frequency.resolvent import CONDITION
 from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, also_late, assembled, put
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
@@ -32,87 +27,15 @@ from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 MOST = 40_000  #: frequencies at one point
 CHUNK = 1_000_000  #: complex numbers at a time
 NEAR, CLIMBED = 0.7, 3  #: a local maximum of at least this fraction of the highest is refined, and this many of them
-PARABOLAS = 8  #: steps of the refinement, from vertex to vertex of the parabola through three places
-ON_POLE, BESIDE = 1e-12, 1e-9  #: relative distance from a pole at which a place lies on it, and by which it is moved
+LEVEL, SAME = (
+    1e-9,
+    1e-13,
+)  #: relative rise of the last step and of the next one, to the vertex of the parabola through three places, at which the refinement ends
 FLAT = 1e-9  #: relative difference of two sizes below which they count as equal
-TURN = 0.2  #: [rad] phase of e^(-jwT) between two frequencies
-
-
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """m points, ready for evaluation: W(s) = M + C (sI - A)^-1 B of the k relevant wires."""
-
-    A: Array  #: (m, nx, nx)
-    B: Array  #: (m, nx, k)
-    C: Array  #: (m, k, nx)
-    M: Array  #: (m, k, k)
-    T: Array  #: (k,) [s] of these wires
-    rows: Ints  #: (n,) indices of the channels among them, one after the other
-    rates: Ints | None  #: (n,) indices of the wires with their rates
-    modal: Bools  #: (m,) modes are well conditioned
-    poles: Complex  #: (m, nx)
-    residues: Complex  #: (m, nx, k k) not defined where not ``modal``
-
-    def H(self, point: Ints, s: Complex) -> Complex:
-        """S_i - 1 (q, n) of all channels at s (q,), each of one point (q,)."""
-        n, each = self.rows.size, np.arange(self.rows.size)
-        out = np.empty((s.size, n), np.complex128)
-        for some in self._chunks(s.size):
-            W, matrix = self._loop(point[some], s[some])
-            inject = np.zeros((1 if self.rates is None else len(W), len(self.T), n), np.complex128)
-            inject[:, self.rows, each] = 1
-            if self.rates is not None:
-                inject[:, self.rates, each] = s[some, None]
-            X = np.linalg.solve(matrix, inject)
-            out[some] = (W[:, self.rows[0] : self.rows[-1] + 1] * X.transpose(0, 2, 1)).sum(axis=2) - 1
-        return out
-
-    def over(self, s: Complex) -> Complex:
-        """S_i - 1 (m, n, q) of all channels at s (m, q) of each point."""
-        return self.over_some(np.arange(len(s)), s)
-
-    def over_some(self, points: Ints, s: Complex) -> Complex:
-        """S_i - 1 (p, n, q) of all channels at s (p, q) of each of the ``points`` (p,)."""
-        H = self.H(np.repeat(points, s.shape[1]), s.ravel())
-        return np.ascontiguousarray(H.reshape(*s.shape, self.rows.size).transpose(0, 2, 1))
-
-    def one(self, point: Ints, channel: Ints, s: Complex) -> Complex:
-        """S_i - 1 (q,) at s (q,), each of one point and channel (q,)."""
-        out = np.empty(s.size, np.complex128)
-        for some in self._chunks(s.size):
-            W, matrix = self._loop(point[some], s[some])
-            each, row = np.arange(len(W)), self.rows[channel[some]]
-            inject = np.zeros((len(W), len(self.T), 1), np.complex128)
-            inject[each, row, 0] = 1
-            if self.rates is not None:
-                inject[each, self.rates[channel[some]], 0] = s[some]
-            out[some] = (W[each, row] * np.linalg.solve(matrix, inject)[:, :, 0]).sum(axis=1) - 1
-        return out
-
-    def _chunks(self, size: int) -> Iterator[slice]:
-        step = max(1, CHUNK // max(self.A.shape[-1], len(self.T)) ** 2)
-        return (slice(k, k + step) for k in range(0, size, step))
-
-    def _loop(self, point: Ints, s: Complex) -> tuple[Complex, Complex]:
-        k = len(self.T)
-        with np.errstate(invalid="ignore"):
-            on_pole = np.abs(s[:, None] - self.poles[point]).min(axis=1, initial=np.inf) <= ON_POLE * np.abs(s)
-        s = np.where(on_pole, s * (1 + BESIDE), s)  # of the loop without dead time: W is infinite there, S is not
-        W = np.empty((s.size, k * k), np.complex128)
-        order = np.argsort(point, kind="stable")
-        start = np.searchsorted(point[order], np.arange(len(self.A) + 1))
-        for i in np.flatnonzero(np.diff(start)):
-            mine = order[start[i] : start[i + 1]]
-            if self.modal[i]:
-                W[mine] = (1 / (s[mine, None] - self.poles[i])) @ self.residues[i]
-            else:
-                matrix = s[mine, None, None] * np.eye(len(self.A[i])) - self.A[i]
-                W[mine] = (self.C[i] @ np.linalg.solve(matrix, self.B[i].astype(complex)[None])).reshape(-1, k * k)
-        W = W.reshape(-1, k, k) + self.M[point]
-        E = np.exp(-s[:, None] * self.T)
-        matrix = (1 - E)[:, :, None] * W
-        matrix[:, np.arange(k), np.arange(k)] += E
-        return W, matrix
+TURN = 0.2  #: [rad] phase of e^(-jwT) between two frequencies,
+DECADE = 30  #: and frequencies in a decade
+MOST_STEPS = 60  #: of a search for a crossing,
+NARROW = 1e-13  #: and the relative width at which it ends
 
 
 def delayed_metrics(system: OpenSystem, at: str, judged: Bools, walks: Sequence[Array]) -> MarginMetrics:
@@ -122,7 +45,9 @@ def delayed_metrics(system: OpenSystem, at: str, judged: Bools, walks: Sequence[
     every = np.asarray(np.flatnonzero(judged), np.int64)
     size = np.array([walks[int(i)].size for i in every]) + 1000.0
     for some in _groups(every, size, ch.H0.shape[1]):
-        found = _metrics(_points(system, at, some), ch.at(some), _cut_poles(system.at(some)), _padded([walks[int(i)] for i in some]), system.radius)
+        found = _metrics(
+            sensitivities(system, at, some), ch.at(some), _cut_poles(system.at(some)), _padded([walks[int(i)] for i in some]), system.radius
+        )
         put(metrics, some, MarginMetrics(**found))
     return metrics
 
@@ -153,28 +78,7 @@ def _cut_poles(system: OpenSystem) -> Complex:
     return np.asarray(np.concatenate([found, np.broadcast_to(1 / system.wire_delay[late], (len(found), int(late.sum())))], axis=1), np.complex128)
 
 
-def _points(system: OpenSystem, at: str, index: Ints) -> _Points:
-    nu, ny, nw = system.nu, system.ny, system.nw
-    wires = np.arange(nw)[point_wires(system, at)]
-    cut = [wires, np.arange(nw)[system.wires["rate"]]] if has_rate(system, at) else [wires]
-    matter = np.unique(np.concatenate([*cut, np.flatnonzero(system.wire_delay)]))
-    through = np.linalg.inv(np.eye(nw) - system.D[index][:, ny:, nu:])
-    into, out = system.B[index][:, :, nu:] @ through, through @ system.C[index][:, ny:]
-    A = system.A[index] + into @ system.C[index][:, ny:]
-    B, C = into[:, :, matter], out[:, matter]
-    poles, V = np.linalg.eig(A)
-    modal = np.asarray(np.linalg.cond(V) < CONDITION)
-    left, right = C @ V, np.zeros(B.shape, np.complex128)
-    right[modal] = np.linalg.solve(V[modal], B[modal].astype(complex))
-    residues = (left.transpose(0, 2, 1)[:, :, :, None] * right[:, :, None, :]).reshape(*poles.shape, matter.size**2)
-    where = [np.searchsorted(matter, c) for c in cut]
-    return _Points(
-        A, B, C, np.asarray(through[:, matter[:, None], matter], float), system.wire_delay[matter], where[0], where[1] if len(where) > 1 else None,
-        modal, poles.astype(np.complex128), residues.astype(np.complex128),
-    )  # fmt: skip
-
-
-def _metrics(point: _Points, ch: Channels, cut: Complex, walk: Array, radius: float) -> dict[str, Array]:
+def _metrics(point: Sensitivities, ch: Channels, cut: Complex, walk: Array, radius: float) -> dict[str, Array]:
     """The metrics (m, n). ``cut``: features of the loop with dead time (m, j); ``walk``: frequencies of its count (m, k)."""
     m, n = ch.H0.shape
     column = ch.B / (1 + ch.H0)[:, None]
@@ -219,14 +123,13 @@ def _resolved(w: Array, low: Array, high: Array, longest: float) -> Array:
     """(m, k) increasing frequencies, w (m, j) among them, in [low, high] (m,) in steps with a small phase change of e^(-jwT) and a small
     logarithmic change; some are repeated."""
     least = np.where(low > 0, low, np.minimum(np.where(w > 0, w, np.inf).min(axis=1), high))[:, None]
-    span = high[:, None] / least
-    turns = float(np.ceil((high - low).max() * longest / TURN))
-    even = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, int(min(MOST, turns + 2)))
-    spread = least * span ** np.linspace(0, 1, int(30 * np.log10(span.max())) + 2)
-    return np.sort(np.clip(np.concatenate([w, even, spread], axis=1), least, high[:, None]), axis=1)
+    w = np.sort(np.clip(np.concatenate([least, w, high[:, None]], axis=1), least, high[:, None]), axis=1)
+    spread = np.clip(np.exp(between(np.log(w), np.full(len(w), np.log(10) / DECADE))), least, high[:, None])
+    w = np.sort(np.concatenate([w, spread], axis=1), axis=1)
+    return np.sort(np.concatenate([w, between(w, np.maximum(TURN / longest, (high - low) / MOST))], axis=1), axis=1)
 
 
-def _refined(point: _Points, some: Ints, w: Array, H: Complex) -> tuple[Array, Complex]:
+def _refined(point: Sensitivities, some: Ints, w: Array, H: Complex) -> tuple[Array, Complex]:
     """Additional frequencies where Re H + 1/2 or Im H turns back just before zero, since two crossings may lie there."""
     for _ in range(2):
         gaps = np.zeros((len(w), w.shape[1] - 1), bool)
@@ -243,11 +146,9 @@ def _refined(point: _Points, some: Ints, w: Array, H: Complex) -> tuple[Array, C
             break
         inner = np.linspace(0, 1, 8)[1:-1]
         extra = w[row, k][:, None] + (w[row, k + 1] - w[row, k])[:, None] * inner
-        count = np.bincount(row, minlength=len(w)) * inner.size
-        column = np.arange(extra.size) - np.repeat(np.cumsum(count) - count, count)  # of each among those of its row
         row = np.repeat(row, inner.size)
-        more = np.repeat(w[:, -1:], count.max(), axis=1)
-        H_more = np.repeat(H[..., -1:], count.max(), axis=2)
+        more, column = room(row, w[:, -1:])
+        H_more, _ = room(row, H[..., -1:])
         more[row, column] = extra.ravel()
         H_more[row, :, column] = point.H(some[row], on_axis(extra.ravel()))
         w, H = np.concatenate([w, more], axis=1), np.concatenate([H, H_more], axis=2)
@@ -256,8 +157,8 @@ def _refined(point: _Points, some: Ints, w: Array, H: Complex) -> tuple[Array, C
     return w, H
 
 
-def _crossings(point: _Points, some: Ints, w: Array, H: Complex) -> tuple[Crossings, Crossings]:
-    """The sign changes of Re H + 1/2 (gain) and of Im H (phase), by the Illinois rule."""
+def _crossings(point: Sensitivities, some: Ints, w: Array, H: Complex) -> tuple[Crossings, Crossings]:
+    """The sign changes of Re H + 1/2 (gain) and of Im H (phase)."""
     size = np.abs(H)
     loud = np.maximum(size[..., :-1], size[..., 1:]) > 1 / FARTHEST  # a loop with negligible gain changes sign of Im H everywhere by rounding
     changes = []
@@ -267,54 +168,76 @@ def _crossings(point: _Points, some: Ints, w: Array, H: Complex) -> tuple[Crossi
     number = changes[0][0].size
     owner, channel, a, b, fa, fb, hx = (np.concatenate(both) for both in zip(*changes, strict=True))
     gain = np.arange(owner.size) < number
-    x = a.copy()
-    todo = np.arange(owner.size)
-    for _ in range(60):
+    x, todo, part = a.copy(), np.arange(owner.size), fa / (fa - fb)
+    for _ in range(MOST_STEPS):
         if not todo.size:
             break
-        l, r, fl, fr = a[todo], b[todo], fa[todo], fb[todo]
-        try_ = (l * fr - r * fl) / (fr - fl)
-        x[todo] = try_ = np.where((try_ >= l) & (try_ <= r), try_, (l + r) / 2)
+        x[todo] = try_ = a + part * (b - a)
         hx[todo] = h = point.one(owner[todo], channel[todo], on_axis(try_))
         f = np.where(gain[todo], h.real + 0.5, h.imag)
-        right = (f >= 0) == (fr >= 0)
-        a[todo], fa[todo] = np.where(right, l, try_), np.where(right, fl / 2, f)
-        b[todo], fb[todo] = np.where(right, try_, r), np.where(right, f, fr / 2)
-        todo = todo[~((np.abs(f) <= 1e-13 * np.abs(h)) | (b[todo] - a[todo] <= 1e-13 * b[todo]))]
+        same = (f >= 0) == (fa >= 0)
+        c, fc = np.where(same, a, b), np.where(same, fa, fb)
+        b, fb = np.where(same, b, a), np.where(same, fb, fa)
+        a, fa = try_, f
+        going = ~((np.abs(f) <= 1e-13 * np.minimum(np.abs(h), np.abs(1 + h))) | (np.abs(b - a) <= 2 * NARROW * np.abs(a)))
+        todo, (a, b, c, fa, fb, fc) = todo[going], (each[going] for each in (a, b, c, fa, fb, fc))
+        part = _next(a, b, c, fa, fb, fc)
     every = Crossings(owner, channel, x, hx)
     return every[gain], every[~gain]
 
 
-def _peaks(point: _Points, some: Ints, w: Array, H: Complex, peak: Array, where: Array) -> None:
+def _next(a: Array, b: Array, c: Array, fa: Array, fb: Array, fc: Array) -> Array:
+    """Where between a, the last place tried, and b, on the other side of the zero, to try next, in parts of b - a; c: the end that was left.
+
+    Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Adv. Eng. Software 28, 1997, 145-149).
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along, rise = (a - b) / (c - b), (fa - fb) / (fc - fb)
+        part = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
+        safe = (rise**2 < along) & ((1 - rise) ** 2 < 1 - along) & np.isfinite(part)
+        least = NARROW * np.abs(a) / np.abs(b - a)
+    return np.clip(np.where(safe, part, 0.5), least, 1 - least)
+
+
+def _peaks(point: Sensitivities, some: Ints, w: Array, H: Complex, peak: Array, where: Array) -> None:
     """Raises ``peak`` and its frequency ``where`` (all points, n) in place to the largest |S| on w, refined at its highest frequencies."""
     size = np.abs(1 + H)
     row, channel, k, low, high = _brackets(size, NEAR * np.maximum(peak[some], size.max(axis=2)))
     owner, each = some[row], np.arange(row.size)
     a, x, b = w[row, low], w[row, k], w[row, high]
     fa, f, fb = size[row, channel, low], size[row, channel, k], size[row, channel, high]
-    best, at = f, x
-    inner = np.linspace(0, 1, 9)
-    for _ in range(2):
-        tried = a[:, None] + (b - a)[:, None] * inner
-        found = np.abs(1 + point.one(np.repeat(owner, 9), np.repeat(channel, 9), on_axis(tried.ravel()))).reshape(tried.shape)
-        highest, first = found.max(axis=1), found.argmax(axis=1)
-        best, at = np.where(highest > best, highest, best), np.where(highest > best, tried[each, first], at)
-        top = np.clip(first, 1, 7)
-        a, x, b = (tried[each, top + i] for i in (-1, 0, 1))
-        fa, f, fb = (found[each, top + i] for i in (-1, 0, 1))
-    for _ in range(PARABOLAS):
+    tried = a[:, None] + (b - a)[:, None] * np.linspace(0, 1, 9)
+    found = np.abs(1 + point.one(np.repeat(owner, 9), np.repeat(channel, 9), on_axis(tried.ravel()))).reshape(tried.shape)
+    highest, first = found.max(axis=1), found.argmax(axis=1)
+    best, at = np.where(highest > f, highest, f), np.where(highest > f, tried[each, first], x)
+    top = np.clip(first, 1, 7)
+    a, x, b = (tried[each, top + i] for i in (-1, 0, 1))
+    fa, f, fb = (found[each, top + i] for i in (-1, 0, 1))
+    highest_of = np.zeros(peak.shape)
+    np.maximum.at(highest_of, (owner, channel), best)
+    todo, level = each, np.zeros(each.size, bool)  # level: the last step made no difference
+    for _ in range(MOST_STEPS):
         with np.errstate(divide="ignore", invalid="ignore"):
             left, right = (x - a) * (f - fb), (x - b) * (f - fa)
-            vertex = x - 0.5 * ((x - a) * left - (x - b) * right) / (left - right)
+            shift = 0.5 * ((x - a) * left - (x - b) * right) / (left - right)
+            rise = shift * shift * np.abs((left - right) / ((x - a) * (x - b) * (b - a)))  # to the vertex of the parabola
+            lower = f + 4 * rise < highest_of[owner[todo], channel[todo]]
+        going = ~(lower | (level & ((rise <= SAME * f) | (b - a <= 1e-8 * x))))
+        if not going.any():
+            break
+        todo, (a, x, b, fa, f, fb, shift) = todo[going], (each[going] for each in (a, x, b, fa, f, fb, shift))
+        vertex = x - shift
         vertex = np.where((vertex > a) & (vertex < b) & (vertex != x), vertex, np.where(x - a > b - x, (a + x) / 2, (x + b) / 2))
-        g = np.abs(1 + point.one(owner, channel, on_axis(vertex)))
+        g = np.abs(1 + point.one(owner[todo], channel[todo], on_axis(vertex)))
+        level = np.abs(g - f) <= LEVEL * f
         higher = g > f
         left_end = higher == (vertex > x)  # the end that moves: to the vertex, or to x where the vertex is higher
         end, f_end = np.where(higher, x, vertex), np.where(higher, f, g)
         a, fa = np.where(left_end, end, a), np.where(left_end, f_end, fa)
         b, fb = np.where(left_end, b, end), np.where(left_end, fb, f_end)
         x, f = np.where(higher, vertex, x), np.where(higher, g, f)
-    best, at = np.where(f > best, f, best), np.where(f > best, x, at)
+        better = f > best[todo]
+        best[todo[better]], at[todo[better]] = f[better], x[better]
     order = np.argsort(best, kind="stable")  # of several values the last one written, the highest, stays
     order = order[best[order] > peak[some[row[order]], channel[order]]]
     into = some[row[order]], channel[order]
@@ -360,7 +283,7 @@ def _joined(parts: list[Crossings]) -> Crossings:
     return Crossings(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("point", "channel", "w", "H")))
 
 
-def _needed(point: _Points, some: Ints, w: Array, high: Array, increase: Array) -> Array:
+def _needed(point: Sensitivities, some: Ints, w: Array, high: Array, increase: Array) -> Array:
     """(k,) [rad/s] up to which a crossing could limit a margin: |L| >= 1, or a gain below the increase found so far. ``w`` resolves the poles."""
     last = np.maximum(64 * high, w[:, -1])
     span = (last / high)[:, None]

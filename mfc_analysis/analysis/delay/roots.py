@@ -14,7 +14,8 @@ from contextlib import suppress
 
 import numpy as np
 
-from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points, perron
+from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points, in_a_loop
+from mfc_analysis.analysis.delay.stacked import perron
 from mfc_analysis.analysis.delay.verdict import chain, delayed_verdicts
 from mfc_analysis.analysis.spectrum import poles, spectrum
 from mfc_analysis.analysis.system import OpenSystem, without_idle
@@ -52,7 +53,7 @@ def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
 
 def rightmost(point: Delayed, count: int, radius: float) -> Complex:
     """At least ``count`` rightmost roots that are not slow, abs(s) >= ``radius`` [1/s], if that many exist; rightmost first."""
-    if not point.in_a_loop:
+    if not in_a_loop(point.alone)[0]:
         return _ordered(_fast(point.open_poles, radius))[: max(count, 2)]
     reach, more, found_before = _reach(point), 0, -1
     good = np.zeros(0, np.complex128)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points
-from mfc_analysis.analysis.delay.count import NARROW, roots_within, unstable_roots
+from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points, in_a_loop, stacked
+from mfc_analysis.analysis.delay.count import NARROW, Count, disc_counts, roots_within, unstable_counts, unstable_roots
 from mfc_analysis.analysis.delay.slow import slow_part
+from mfc_analysis.analysis.delay.stacked import Stacked
 from mfc_analysis.analysis.spectrum import Spectrum
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, NotConverged
@@ -44,43 +45,50 @@ def delayed_verdicts(system: OpenSystem, known: Spectrum) -> list[DelayedVerdict
     longest = float(system.wire_delay.max(initial=0.0))
     if system.horizon < longest / LONGEST:
         raise BadArgument("horizon", system.horizon, f"at least {longest / LONGEST:g} s, a twentieth of the dead time")
-    return [_verdict(system, known, i, point) for i, point in enumerate(delayed_points(system))]
+    points, radius = delayed_points(system), system.radius
+    every = stacked(points)
+    circling = np.flatnonzero(in_a_loop(every))
+    looped, some = every.some(circling), [points[i] for i in circling]
+    counts = dict(zip(circling.tolist(), _counted(looped, some, radius), strict=True))
+    discs: list[int | NotConverged] = disc_counts(looped, np.full(len(some), radius)) if some and radius else [0] * len(some)
+    slow = dict(zip(circling.tolist(), discs, strict=True))
+    return [_verdict(system, known, i, point, counts[i], slow[i]) if i in counts else _outside(system, known, i) for i, point in enumerate(points)]
 
 
-def _verdict(system: OpenSystem, known: Spectrum, index: int, point: Delayed) -> DelayedVerdict:
-    radius, nx, none = system.radius, system.nx, np.zeros(0)
-    if not point.in_a_loop:
-        part = known.parts(index)
-        roots = known.rates[index][known.slow[index]]
-        motion = np.zeros((nx, nx)) if part is None else part.slow.moves(system.horizon)
-        return DelayedVerdict(roots.size, bool(known.decays[index]), roots.size < nx - system.registers, roots, motion, none)
-    unstable, walk = _counted(point, radius)
-    try:
-        slow = roots_within(point, radius) if radius else 0
-    except NotConverged:
+def _outside(system: OpenSystem, known: Spectrum, index: int) -> DelayedVerdict:
+    """The verdict where no dead time lies in a loop."""
+    part, nx, roots = known.parts(index), system.nx, known.rates[index][known.slow[index]]
+    motion = np.zeros((nx, nx)) if part is None else part.slow.moves(system.horizon)
+    return DelayedVerdict(roots.size, bool(known.decays[index]), roots.size < nx - system.registers, roots, motion, np.zeros(0))
+
+
+def _verdict(system: OpenSystem, known: Spectrum, index: int, point: Delayed, counted: tuple[int, Array], slow: int | NotConverged) -> DelayedVerdict:
+    nx, (unstable, walk) = system.nx, counted
+    if isinstance(slow, NotConverged):
         if not unstable:
-            raise
+            raise slow
         slow = int(known.slow[index].sum())  # the verdict is settled; how many are slow is known without dead time only
-    slow_roots, motion = slow_part(point, radius, slow) if slow else (np.zeros(0, np.complex128), np.zeros((nx, nx)))
+    slow_roots, motion = slow_part(point, system.radius, slow) if slow else (np.zeros(0, np.complex128), np.zeros((nx, nx)))
     return DelayedVerdict(slow, not unstable, bool(not system.dt or slow < nx - system.registers), slow_roots, motion, walk)
 
 
 def unstable_count(point: Delayed, radius: float) -> int:
     """The number of unstable roots that are not slow, or, where one is easily found, at least one. Raises ``NotConverged``."""
-    return _counted(point, radius)[0]
+    return _counted(point.alone, [point], radius)[0][0]
 
 
-def _counted(point: Delayed, radius: float) -> tuple[int, Array]:
-    """That number, and the frequencies [rad/s] of the count along the axis."""
-    if point.strongest_direct >= CERTAINLY:
-        return 1, np.zeros(0)
-    try:
-        unstable, walk = unstable_roots(point, radius, FEW)
-    except NotConverged:  # a long contour: a root that is easily found saves it
-        if some_unstable(point, radius):
-            return 1, np.zeros(0)
-        unstable, walk = unstable_roots(point, radius)
-    return unstable, walk.s.imag
+def _counted(every: Stacked, points: list[Delayed], radius: float) -> list[tuple[int, Array]]:
+    """That number of each point, and the frequencies [rad/s] of the count along the axis."""
+    surely = 1, np.zeros(0)
+    some = np.flatnonzero([point.strongest_direct < CERTAINLY for point in points])
+    found = iter(unstable_counts(every.some(some), radius, FEW) if some.size else [])
+    out = []
+    for point in points:
+        count = surely if point.strongest_direct >= CERTAINLY else next(found)
+        if isinstance(count, NotConverged):  # a long contour: a root that is easily found saves it
+            count = surely if some_unstable(point, radius) else unstable_roots(point, radius)
+        out.append((count.number, count.axis.s.imag) if isinstance(count, Count) else count)
+    return out
 
 
 def some_unstable(point: Delayed, radius: float) -> bool:

@@ -55,7 +55,8 @@ def thinned(w: Array, poles: Complex) -> Array:
 
 def _distance(w: Array, poles: Complex) -> Array:
     """(k,) distance of the points jw (k,) from the nearest pole (nx,)."""
-    squared = w[:, None] - np.abs(poles.imag)
+    poles = poles[poles.imag >= 0]  # the others are their conjugates
+    squared = w[:, None] - poles.imag
     squared *= squared
     squared += poles.real**2
     return np.asarray(np.sqrt(squared.min(axis=1)))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points, perron
+from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points, in_a_loop
 from mfc_analysis.analysis.system import OpenSystem
 from tests.analysis.conftest import open_system, random_loops
 
@@ -43,10 +43,11 @@ def test_the_function_is_the_determinant_of_the_whole_loop(rng, delay):
     mirrored = np.array([-1.0 + 2j, -1.0 - 2j, -3.0, -4.0])
     for i, point in enumerate(delayed_points(system)):
         f = np.array([determinant(system, i, x) for x in at])
-        phase, rate, loop = point.value(at, mirrored)
+        phase, rate = point.value(at, mirrored)
         g = f / np.prod(at[:, None] - mirrored, axis=1)
         assert_allclose(np.exp(1j * phase), g / np.abs(g), rtol=1e-9)
-        G = point.response(at)[0]
+        G = point.gain(at)
+        loop = point.alone.loop(np.zeros(at.size, int), at)
         size = np.linalg.det(np.eye(len(point.T)) - loop) * np.prod(at[:, None] - point.open_poles, axis=1)
         assert_allclose(size, f, rtol=1e-8)
         assert_allclose(loop, np.exp(-at[:, None] * point.T)[:, :, None] * G, rtol=1e-12)
@@ -63,7 +64,7 @@ def test_a_sampled_loop_has_z_in_the_place_of_s(rng):
     (point,) = delayed_points(system)
     at = rng.normal(size=6) + 1j * rng.uniform(0, 100, 6)
     f = np.array([determinant(system, 0, x) for x in at])
-    phase, rate, _ = point.value(at, np.zeros(0, complex))
+    phase, rate = point.value(at, np.zeros(0, complex))
     assert_allclose(np.exp(1j * phase), f / np.abs(f), rtol=1e-9)
     step = 1e-5
     ahead, behind = (np.array([determinant(system, 0, x + d) for x in at]) for d in (step, -step))
@@ -87,7 +88,7 @@ def test_on_a_pole_of_the_response_the_function_keeps_its_phase_and_rate():
     at = np.array([2j, -3.0 + 0j])
     f = (at**2 + 4) * (at + 3) + 25 * np.exp(-T * at)
     slope = 2 * at * (at + 3) + at**2 + 4 - 25 * T * np.exp(-T * at)
-    phase, rate, _ = point.value(at, np.zeros(0, complex))
+    phase, rate = point.value(at, np.zeros(0, complex))
     assert_allclose(np.exp(1j * phase), f / np.abs(f), atol=1e-3)
     near = at * (1 + 1e-6)
     assert_allclose(point.value(near, np.zeros(0, complex))[1], slope / f, rtol=1e-3)
@@ -105,53 +106,22 @@ def test_a_direct_gain_round_the_loop_is_bounded_over_all_phases(rng):
     for delay in DELAYS:
         for point in delayed_points(loops(rng, delay)):
             turns = (
-                np.exp(1j * rng.uniform(0, 2 * np.pi, (400, 1))) if point.one_delay else np.exp(1j * rng.uniform(0, 2 * np.pi, (400, len(point.T))))
+                np.exp(1j * rng.uniform(0, 2 * np.pi, (400, 1)))
+                if point.alone.one_delay
+                else np.exp(1j * rng.uniform(0, 2 * np.pi, (400, len(point.T))))
             )
             sampled = np.abs(np.linalg.eigvals(turns[:, :, None] * point.D)).max()
             assert sampled <= point.strongest_direct * (1 + 3e-3)
             loop = rng.normal(size=(5, len(point.T), len(point.T))) + 0j
-            for one, bound in zip(loop, point.contraction(loop), strict=True):
+            for one, bound in zip(loop, point.alone.contraction(loop), strict=True):
                 assert np.abs(np.linalg.eigvals(turns[:, :, None] * one)).max() <= bound * (1 + 1e-9)
 
 
 def test_dead_time_is_in_a_loop_only_where_its_signal_returns():
-    assert delayed_points(open_system(2 / s, delay=0.3))[0].in_a_loop
+    assert in_a_loop(delayed_points(open_system(2 / s, delay=0.3))[0].alone)
     outside = replace(open_system(control.tf([1], [1, 3])), wire_delay=np.array([0.2]))
-    assert not delayed_points(replace(outside, C=np.zeros_like(outside.C)))[0].in_a_loop
+    assert not in_a_loop(delayed_points(replace(outside, C=np.zeros_like(outside.C)))[0].alone)
     into, out, none = np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]]), np.zeros((2, 2))
     chain = Delayed(np.array([[-3.0]]), into, out, none, np.array([0.2, 0.3]), np.ones(1))  # the first wire drives the second, which ends
-    assert not chain.in_a_loop
-    assert replace(chain, D=np.array([[0.0, 1e-3], [0.0, 0.0]])).in_a_loop
-
-
-def test_perrons_bounds_are_close_from_above(rng):
-    G = np.abs(rng.normal(size=(50, 4, 4)))
-    exact = np.abs(np.linalg.eigvals(G)).max(axis=1)
-    found = perron(G)
-    assert (found >= exact * (1 - 1e-12)).all()
-    assert_allclose(found, exact, rtol=1e-2)
-    assert perron(np.zeros((1, 3, 3)))[0] == 0
-
-
-def test_a_loop_gain_is_below_a_limit_where_its_eigenvalues_are(rng):
-    """Of all kinds of matrices, nilpotent, zero and graded ones among them, with limits on both sides of the largest eigenvalue."""
-    (point,) = delayed_points(open_system(1 / s, delay=0.2))
-    M = rng.normal(size=(400, 4, 4)) + 1j * rng.normal(size=(400, 4, 4))
-    M[100:200] = np.triu(M[100:200])
-    M[200:300] *= np.geomspace(1, 1e5, 4)[:, None] / np.geomspace(1, 1e5, 4)
-    M[300:350, :, 1:] = M[300:350, :, :1] * rng.normal(size=(50, 1, 3))
-    M[0], M[1] = 0, np.eye(4, k=1)
-    M *= 10.0 ** rng.uniform(-60, 60, (400, 1, 1))
-    radius = np.abs(np.linalg.eigvals(M)).max(axis=1)
-    for off in (-0.5, -1e-3, -1e-7, 1e-7, 1e-3, 0.5):
-        below = [point.contracts(one[None], r * (1 + off))[0] for one, r in zip(M[2:], radius[2:], strict=True)]
-        assert np.all(np.array(below) == (off > 0)), off
-    assert point.contracts(M[:2], 1e-3).all()
-    assert_allclose(point.contracts(M / radius.max(), 0.8), point.contraction(M / radius.max()) < 0.8)
-
-
-@pytest.mark.parametrize("delay", DELAYS, ids=["two", "equal", "one"])
-def test_the_response_alone_is_that_with_its_slope(rng, delay):
-    for point in delayed_points(loops(rng, delay)):
-        at = np.array([0.3 + 2j, 5j, -0.1 + 40j])
-        assert_allclose(point.gain(at), point.response(at)[0], rtol=1e-14)
+    assert not in_a_loop(chain.alone)
+    assert in_a_loop(replace(chain, D=np.array([[0.0, 1e-3], [0.0, 0.0]])).alone)

@@ -11,11 +11,11 @@ from hypothesis import assume, given, settings, strategies as st
 from scipy.special import lambertw
 
 from mfc_analysis.analysis.delay import count
-from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points
-from mfc_analysis.analysis.delay.count import roots_within, unstable_roots
+from mfc_analysis.analysis.delay.characteristic import Delayed, delayed_points, stacked
+from mfc_analysis.analysis.delay.count import disc_counts, roots_within, unstable_counts, unstable_roots
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.errors import NotConverged
-from tests.analysis.conftest import open_system
+from tests.analysis.conftest import open_system, random_loops
 
 s = control.tf("s")
 RADIUS = 0.01
@@ -163,7 +163,25 @@ def test_a_direct_gain_below_one_leaves_the_count_of_nyquists_plot(d, sign, k, T
 
 def test_a_limit_of_samples_holds_for_the_disc_at_the_origin_too(monkeypatch):
     limits = []
-    within = count.roots_within
-    monkeypatch.setattr(count, "roots_within", lambda *about, **more: limits.append(more) or within(*about, **more))
+    within = count.disc_counts
+    monkeypatch.setattr(count, "disc_counts", lambda *about: limits.append(about[3]) or within(*about))
     assert unstable_roots(delayed(1 / s, 1.0), 0.0, 2000)[0] == 0
-    assert limits == [{"most": 2000}]
+    assert limits == [2000]
+
+
+def test_points_are_counted_together_as_they_are_alone(rng):
+    points = delayed_points(replace(random_loops(rng, 40, 4, 2), wire_delay=np.array([0.31, 0.12])))
+    for radius in (RADIUS, 0.0):
+        together = unstable_counts(stacked(points), radius)
+        assert [one.number for one in together] == [unstable_roots(point, radius).number for point in points]
+        assert {one.number > 0 for one in together} == {False, True}
+    discs = disc_counts(stacked(points), np.full(40, 3.0))
+    assert discs == [roots_within(point, 3.0) for point in points] and max(discs) > 1
+
+
+def test_a_point_that_takes_too_many_samples_does_not_stop_the_others():
+    """With k/(s + 1) at two points: 1e5 at a dead time of 100 s takes too many; 0.5 has no unstable root, 1.2 has some (k > 1, a long dead time)."""
+    points = [delayed(k / (s + 1), 100.0) for k in (0.5, 1e5, 1.2)]
+    few, long, some = unstable_counts(stacked(points), RADIUS, 3000)
+    assert few.number == 0 and some.number == unstable_roots(points[2], RADIUS).number > 0
+    assert isinstance(long, NotConverged)

@@ -126,11 +126,11 @@ def test_an_unstable_loop_is_unstable_also_where_its_slow_roots_cannot_be_counte
     from mfc_analysis.analysis.delay import verdict as module
     from mfc_analysis.errors import NotConverged
 
-    def unsettled(*_):
-        raise NotConverged("the number of unstable roots", "a root lies on the circle")
+    def unsettled(points, *_):
+        return [NotConverged("the number of unstable roots", "a root lies on the circle")] * len(points.A)
 
     late, prompt = open_system(3 / s / (1e-3 * s + 1), delay=0.6), open_system(3 / s / (1e-3 * s + 1), delay=0.1)
-    monkeypatch.setattr(module, "roots_within", unsettled)
+    monkeypatch.setattr(module, "disc_counts", unsettled)
     assert not verdict(late).decays
     with pytest.raises(NotConverged, match="circle"):
         verdict(prompt)

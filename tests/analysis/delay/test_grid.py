@@ -1,0 +1,27 @@
+"""Values between the values of rows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from mfc_analysis.analysis.delay.grid import between, room
+
+
+def test_steps_are_divided_into_equal_ones_of_at_most_the_step():
+    w = np.array([[0.0, 1.0, 1.0, 4.0], [0.0, 0.1, 0.2, 0.3]])
+    more = between(w, np.array([1.0, 1.0]))
+    assert_allclose(more, [[2.0, 3.0], [0.3, 0.3]])
+    every = np.sort(np.concatenate([w, between(w, np.array([0.3, 0.04]))], axis=1), axis=1)
+    assert (np.diff(every, axis=1).max(axis=1) <= np.array([0.3, 0.04]) * (1 + 1e-9)).all()
+    assert np.isin(w, every).all()
+
+
+def test_rows_that_need_no_values_get_none():
+    assert between(np.array([[1.0, 2.0]]), np.array([1.0])).shape == (1, 0)
+
+
+def test_there_is_room_for_the_values_of_each_row():
+    empty, column = room(np.array([0, 0, 2]), np.array([[1.0], [2.0], [3.0]]))
+    assert_allclose(empty, [[1, 1], [2, 2], [3, 3]])
+    assert column.tolist() == [0, 1, 0]
