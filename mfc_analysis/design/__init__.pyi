@@ -15,4 +15,5 @@ from .stiffness import (
     stiffness_map as stiffness_map,
 )
 from .sweeps import sweep as sweep
+from .tuning import Tuned as Tuned, tune as tune
 from .worst_case import WorstCase as WorstCase, worst_case as worst_case
