@@ -100,6 +100,7 @@ def results() -> dict[str, Any]:
         "decentralised": lin.decentralised(),
         "steps": step_metrics(LATE.linearize()),
         "coupling": coupling(lin, ["q_d_shoulder_pan_joint"], ["q_elbow_joint"], [1.0, 10.0]),
+        "second opinion": LATE.linearize().second_opinion(),
         "run": run,
         "late run": LATE.simulate(0.02, initial_error=0.01),
         "sampled run": SAMPLED.simulate(0.02, initial_error=0.01),

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.floquet import TransientGrowth
     from mfc_analysis.analysis.margins import Margins
     from mfc_analysis.analysis.steps import Step, Steps
+    from mfc_analysis.linearization.second_opinion import SecondOpinion
     from mfc_analysis.plots.figure import Axes
 
 MANY_SAMPLES = 60  #: samples in transit above which the verdict counts roots instead of computing all of them
@@ -256,6 +257,16 @@ class Linearization:
 
         at = self._at(at)
         return loop_model(self._without_wire_delay(self._alone(self.opened_for(at), index), pade, at), at, channel)
+
+    def second_opinion(self, index: int = 0, at: str | None = None, channel: int | str | None = None) -> SecondOpinion:
+        """The figures of python-control beside ours, of the same StateSpace at one time; each difference explained by a rule, or WATCH.
+
+        ``channel`` None: the one with the smallest phase margin. Raises as ``loop``.
+        """
+        from mfc_analysis.linearization.second_opinion import second_opinion
+
+        at = self._at(at)
+        return second_opinion(self._alone(self.opened_for(at), index), at, channel)
 
     def _alone(self, system: OpenSystem, index: int) -> OpenSystem:
         i = self._index(index)

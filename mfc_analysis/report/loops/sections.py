@@ -14,6 +14,7 @@ from mfc_analysis.errors import MfcError
 from mfc_analysis.report.document.document import (
     Block,
     Bullets,
+    Column,
     Fact,
     Figure,
     KeyFacts,
@@ -21,6 +22,7 @@ from mfc_analysis.report.document.document import (
     Paragraph,
     Row,
     Section,
+    Table,
     written,
 )
 from mfc_analysis.report.loops import blocks
@@ -44,6 +46,7 @@ def loop_section(view: View) -> Section:
         the_loop(view),
         frequency_section(view),
         pole_section(view),
+        opinion_section(view),
         *path_section(view),
         time_section(view),
         validity_section(view, found),
@@ -185,6 +188,28 @@ def pole_section(view: View) -> Section:
     if view.delayed:
         numbers["delay_roots"] = view.poles[view.worst.row]
     return Section("Poles", finding, tuple(body), numbers=numbers)
+
+
+def opinion_section(view: View) -> Section:
+    """The figures of python-control for the loop in its worst case, beside ours, and why they differ where they do."""
+    w = view.worst
+    found = view.lin.second_opinion(w.row, view.point, w.channel)
+    rows = tuple(
+        (c.name, Number(c.ours, undefined="–"), Number(c.theirs, undefined="–"), c.function, c.judgement.name.lower(), c.why)
+        for c in found.comparisons
+    )
+    heads = (
+        Column("Figure", numeric=False),
+        Column("Here"),
+        Column("python-control"),
+        *(Column(x, numeric=False) for x in ("Its function", "", "Why")),
+    )
+    where = blocks.place_words(w.name, w.time, len(view.times))
+    table = Table(f"The same model at “{view.point}”, {where}, by python-control {found.version}.", heads, rows)
+    agree, watch = sum(not c.why and c not in found.watch for c in found.comparisons), len(found.watch)
+    said = f"{agree} of {len(rows)} figures agree, {len(rows) - agree - watch} differ for a known reason"
+    finding = f"{said}; {f'{watch} differ without one: WATCH' if watch else 'none differs without one'}."
+    return Section("A second opinion by python-control", finding, (table,), numbers={"second_opinion_watch": [c.name for c in found.watch]})
 
 
 def path_section(view: View) -> Sequence[Section]:
