@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from functools import partial
 from inspect import signature
 from typing import Any
 
@@ -160,9 +161,10 @@ def _candidates(robot: Robot) -> list[tuple[str, Callable[[], Robot]]]:
     if robot.origin is not None:
         path: Any = robot.origin[0]
         given: dict[str, Any] = dict(robot.origin[1])
-        default = {name: p.default for name, p in signature(Robot.from_urdf).parameters.items()}
-        shown = "".join(f", {name}={x!r}" for name, x in given.items() if x is not None and x != default.get(name))
-        out.append((f"mfc.Robot.from_urdf({_nearby(path)!r}{shown})", lambda: Robot.from_urdf(path, **given)))
+        for build in (Robot.from_urdf, Robot.from_mjcf):
+            default = {name: p.default for name, p in signature(build).parameters.items()}
+            shown = "".join(f", {name}={x!r}" for name, x in given.items() if x is not None and x != default.get(name))
+            out.append((f"mfc.Robot.{build.__name__}({_nearby(path)!r}{shown})", partial(build, path, **given)))
     if robot.name == "slider" and robot.n == 1:
         mass = robot.total_mass - sum(p.mass for p in robot.payloads)
         out.append((f"mfc.robots.slider(mass={_short(mass)})", lambda: robots.slider(mass=_round(mass))))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -25,6 +27,19 @@ _SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit dia
 def movable_joints(model: pin.Model) -> tuple[str, ...]:
     """Names of the joints that move, in Pinocchio's order. Joint i of the model is number i - 1: Pinocchio's first is the world, "universe"."""
     return tuple(model.names[1:])
+
+
+def model_of_mjcf(text: str, name: str) -> pin.Model:
+    """Pinocchio's model of an MJCF that has been checked; it reads files only. Raises ``BadRobot``."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.xml"
+        path.write_text(text, encoding="utf-8")
+        try:
+            model = pin.buildModelFromMJCF(str(path))
+        except (ValueError, RuntimeError, IndexError) as why:
+            raise BadRobot("Pinocchio cannot build a model from the bodies and joints of this MJCF; MuJoCo's own messages may say why") from why
+    model.name = name
+    return model
 
 
 def lock(model: pin.Model, locked: Locked) -> pin.Model:
@@ -150,7 +165,7 @@ def default_tool(whole: pin.Model, model: pin.Model) -> str:
     The leaves are those of the ``whole`` model, before joints are locked (Pinocchio's reduced model does not keep the parents of frames).
     Raises ``BadArgument``, which lists the leaves, where the choice is ambiguous.
     """
-    carrying = {f.parentFrame for i, f in enumerate(whole.frames) if f.parentFrame != i}
+    carrying = {f.parentFrame for i, f in enumerate(whole.frames) if f.parentFrame != i and f.type != pin.FrameType.OP_FRAME}
     last = {f.name for i, f in enumerate(whole.frames) if i > 0 and f.type == pin.FrameType.BODY and i not in carrying}
     leaves = [f for f in model.frames if f.type == pin.FrameType.BODY and f.name in last and f.parentJoint > 0]
     depth = {f.name: len(model.supports[f.parentJoint]) - 1 for f in leaves}

@@ -22,6 +22,7 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots import build
 from mfc_analysis.robots.limits import Limits, limits_of
+from mfc_analysis.robots.mjcf import checked_mjcf
 from mfc_analysis.robots.singularity import check_regular
 from mfc_analysis.robots.urdf import Urdf, checked_urdf, read_urdf
 
@@ -44,7 +45,7 @@ class Payload:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
-    """A fixed-base arm. Created by :meth:`from_urdf`, :meth:`from_pinocchio` or the catalogue; ``with_...`` return changed copies.
+    """A fixed-base arm. Created by :meth:`from_urdf`, :meth:`from_mjcf`, :meth:`from_pinocchio` or the catalogue; ``with_...`` return changed copies.
 
     The friction of the plant is ``viscous * v + coulomb * tanh(v / coulomb_speed)`` on each joint; mass, gravity and bias leave it out.
     """
@@ -58,7 +59,7 @@ class Robot:
     coulomb: Array  #: (n,) [N m or N]
     coulomb_speed: float = COULOMB_SPEED  #: [rad/s or m/s]
     payloads: tuple[Payload, ...] = field(default=())  #: already included in ``model``
-    origin: tuple[str, dict[str, Any]] | None = None  #: file and arguments of :meth:`from_urdf`, if made from a file; for replays
+    origin: tuple[str, dict[str, Any]] | None = None  #: file and arguments of :meth:`from_urdf` (:meth:`from_mjcf`), if made from a file; for replays
 
     # --- constructors ----------------------------------------------------------------------------------------------------
 
@@ -93,6 +94,37 @@ class Robot:
         if isinstance(source, str) and "<" in source:
             return robot
         given = {"tool": tool, "locked": locked, "joints": joints, "friction": friction, "gravity": tuple(np.asarray(gravity, float).tolist())}
+        return replace(robot, origin=(os.fspath(source), given))
+
+    @classmethod
+    def from_mjcf(
+        cls,
+        source: str | os.PathLike[str],
+        tool: str | None = None,
+        locked: build.Locked = None,
+        joints: Sequence[str] | None = None,
+        friction: Literal["mjcf", "none"] = "mjcf",
+        gravity: ArrayLike | None = None,
+    ) -> Robot:
+        """A robot from an MJCF (MuJoCo XML): a path or the XML text. Meshes are never opened: a body whose mass is that of a mesh is refused.
+
+        Arguments as :meth:`from_urdf`; a tool may be a site as well. ``friction="mjcf"``: joint damping is the viscous friction of the plant;
+        frictionloss is not read. Joint armature is read, and torque limits are those of ``actuatorfrcrange``. ``gravity=None``: that of the file.
+
+        Warns (``MfcWarning``) of springs, tendons, equality constraints and gravity compensation, which are not read. Raises ``BadRobot`` (not
+        XML, no mass, several robots, joints with several degrees of freedom, what Pinocchio reads otherwise than MuJoCo), ``UnknownName``,
+        ``BadArgument``.
+        """
+        checks.choice("friction", friction, ("mjcf", "none"))
+        mjcf = checked_mjcf(source)
+        robot = cls._from_model(
+            build.model_of_mjcf(mjcf.text, mjcf.name), tool, locked, joints, "urdf" if friction == "mjcf" else "none",
+            mjcf.gravity if gravity is None else gravity,
+        )  # fmt: skip
+        if isinstance(source, str) and "<" in source:
+            return robot
+        own = None if gravity is None else tuple(np.asarray(gravity, float).tolist())
+        given = {"tool": tool, "locked": locked, "joints": joints, "friction": friction, "gravity": own}
         return replace(robot, origin=(os.fspath(source), given))
 
     @classmethod

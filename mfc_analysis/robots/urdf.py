@@ -70,9 +70,14 @@ def read_urdf(source: str | os.PathLike[str]) -> str:
 
     Raises ``BadArgument`` where there is no such file or the argument is neither, ``BadRobot`` where the file is not in its encoding.
     """
+    return read_xml(source, "a URDF")
+
+
+def read_xml(source: object, what: str) -> str:
+    """As ``read_urdf``; ``what`` the file is, for messages."""
     if isinstance(source, str) and source.lstrip("\ufeff" + _BLANKS).startswith("<"):
         return source
-    takes = "the path of a URDF file, or its XML text"
+    takes = f"the path of {what.removesuffix(' file')} file, or its XML text"
     try:
         content = files.read(checks.path("source", source, takes).expanduser(), LARGEST)
     except (OSError, RuntimeError, UnicodeError) as why:  # RuntimeError: a home folder that does not exist
@@ -86,7 +91,7 @@ def read_urdf(source: str | os.PathLike[str]) -> str:
             raise ValueError
     except (LookupError, ValueError) as why:
         reason = "as its first bytes say" if marked else "which it declares" if declared else "and declares no other"
-        raise BadRobot(f"{source} is not a URDF: it is not text in the encoding {encoding}, {reason}; save it as UTF-8") from why
+        raise BadRobot(f"{source} is not {what}: it is not text in the encoding {encoding}, {reason}; save it as UTF-8") from why
     return text
 
 

@@ -106,3 +106,17 @@ def test_a_file_that_has_changed_since_is_not_claimed_to_be_the_robot(tmp_path):
     path.write_text(mfc.robots.catalogue.ur5_urdf().replace("2.275", "2.3"))
     said = replay(mfc.ClosedLoop(robot, mfc.laws.JointPID(40.0, kd=5.0), mfc.trajectories.Hold(Q)))
     assert "from_urdf" not in said.code
+
+
+def test_a_robot_of_an_mjcf_file_is_read_from_it_again(tmp_path, monkeypatch):
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco model="own"><worldbody><body name="b"><joint name="j" axis="0 1 0" damping="0.3"/><geom size=".1" mass="1" pos=".2 0 0"/></body>'
+        "</worldbody></mujoco>"
+    )
+    monkeypatch.chdir(tmp_path)
+    loop = mfc.ClosedLoop(
+        mfc.Robot.from_mjcf(tmp_path / "arm.xml", gravity=(0, 0, -1.6)), mfc.laws.JointPID(40.0, kd=5.0), mfc.trajectories.Hold([0.3])
+    )
+    said = replay(loop, [0.0], "A = loop.linearize(times).A")
+    assert said.missing == () and "mfc.Robot.from_mjcf('arm.xml', gravity=(0.0, 0.0, -1.6))" in said.code
+    assert_allclose(rerun(said.code)["A"], loop.linearize([0.0]).A, rtol=1e-9)
