@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.frequency.sensitivity import Opened, opened, sensitivity, sensitivity_at_infinity
 from mfc_analysis.analysis.mu import largest_bound, lower_bound
-from mfc_analysis.analysis.mu_peak import mu_peak
+from mfc_analysis.analysis.mu_peak import Peak, mu_peaks
 from mfc_analysis.analysis.spectrum import spectrum
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
@@ -149,7 +149,7 @@ def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayL
 
     Args:
         frequencies: (nf,) [rad/s] > 0, increasing: mu is computed at these (and at infinity) only, and ``bound`` is ``GRID``. None: at all
-            frequencies from 1/horizon on. The peak of mu is then certain to 1e-6 (``mu_peak``); if it is not, ``bound`` says ``GRID``.
+            frequencies from 1/horizon on. The peak of mu is then certain to 1e-6 (``mu_peaks``); if it is not, ``bound`` says ``GRID``.
 
     Dead time is exact. Raises ``UnknownPoint`` where the loop cannot be opened, ``BadArgument`` for other frequencies.
     """
@@ -162,14 +162,10 @@ def disk_margin(system: OpenSystem, at: str | Sequence[str], frequencies: ArrayL
     alpha, where, above = (np.full(m, np.nan) for _ in range(3))
     certain = np.ones(m, bool)
     kept = replace(channels, system=lean)
-    for i in np.flatnonzero(verdict.nonzero_stable):
-        if grid is None:
-            peak = mu_peak(kept, int(i), known.rates[i])
-            mu, where[i], lower, certain[i] = peak.value, peak.frequency, peak.lower, peak.certain
-        else:
-            mu, where[i], lower = _on_grid(kept, int(i), grid)
-            certain[i] = False
-        alpha[i], above[i] = 1 / mu, 1 / lower
+    some, rates = [int(i) for i in np.flatnonzero(verdict.nonzero_stable)], known.rates
+    peaks = mu_peaks(kept, [(i, rates[i]) for i in some]) if grid is None else [_on_grid(kept, i, grid) for i in some]
+    for i, peak in zip(some, peaks, strict=True):
+        alpha[i], where[i], above[i], certain[i] = 1 / peak.value, peak.frequency, 1 / peak.lower, peak.certain
     tight = above - alpha <= EXACT * alpha
     judged = np.isfinite(alpha)
     if not judged.any():
@@ -203,8 +199,8 @@ def _frequencies(given: ArrayLike, dt: float) -> Array:
     return out
 
 
-def _on_grid(channels: Opened, index: int, grid: Array) -> tuple[float, float, float]:
-    """Largest upper bound of mu(S - I/2) on the grid and at infinity, its frequency, and a lower bound there."""
+def _on_grid(channels: Opened, index: int, grid: Array) -> Peak:
+    """Largest upper bound of mu(S - I/2) on the grid and at infinity."""
     system, half = channels.system, 0.5 * np.eye(channels.wires.size)
     step = max(1, CHUNK // (system.nx + system.nw) ** 2)
     found = [(*largest_bound(sensitivity(channels, index, w) - half), w) for w in (grid[k : k + step] for k in range(0, grid.size, step))]
@@ -212,7 +208,7 @@ def _on_grid(channels: Opened, index: int, grid: Array) -> tuple[float, float, f
     far = sensitivity_at_infinity(channels, index) - half
     size, _, attained = largest_bound(far[None])
     if size >= mu * (1 - 1e-12):
-        return size, np.inf if not system.dt else float(np.pi / system.dt), attained
+        return Peak(size, np.inf if not system.dt else float(np.pi / system.dt), attained, certain=False)
     if lower < mu * (1 - EXACT / 2):
         lower = max(lower, lower_bound(sensitivity(channels, index, w[k : k + 1])[0] - half, mu * (1 - EXACT / 2)))
-    return mu, float(w[k]), min(lower, mu)
+    return Peak(mu, float(w[k]), min(lower, mu), certain=False)

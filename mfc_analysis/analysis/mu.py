@@ -11,6 +11,9 @@ matrices", J. ACM 7 (1960) 338-345; Sezginer & Overton, IEEE Trans. Automatic Co
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from mfc_analysis.errors import NotConverged
@@ -22,7 +25,7 @@ FIRST, LAST, GROWTH = 2.0, 1e6, 2.0  #: p of the Schatten norm at first and at l
 SHARP = 64.0  #: p from which on a bound that is not the largest is not polished further
 LEVEL = 1e-6  #: difference of the squared moduli of the two vectors at which the balance is best
 LONGEST = 2.0  #: step of log D
-AT_ONCE = 8  #: matrices polished together
+AT_ONCE = 8  #: matrices of a set polished together
 CLOSE = 1e-8  #: relative difference below which two bounds are equal
 TINY = 1e-14  #: the balancing treats entries below this fraction of the largest as zero
 
@@ -41,10 +44,10 @@ def osborne_bound(M: Complex) -> tuple[Array, Array]:
     return _singular(M, balance)[0][:, -1], balance
 
 
-def polished_bound(M: Complex, balance: Array, enough: float = 0.0) -> tuple[Array, Array, Array]:
+def polished_bound(M: Complex, balance: Array, enough: float | Array = 0.0) -> tuple[Array, Array, Array]:
     """Smallest upper bounds (k,) of mu with their balance (k, n), and lower bounds (k,), from a nearby balance.
 
-    A bound that falls below ``enough`` (>= 0) is not the smallest but a good one.
+    A bound that falls below ``enough`` (>= 0, one or (k,)) is not the smallest but a good one.
 
     The Schatten norm tr((M^H M)^p)^(1/2p) of D M D^-1 is smooth and convex in log D, and the largest singular value as p rises: Newton steps on
     it, p doubled after each. Where the largest singular value is simple, at the best D the moduli of its two vectors are equal; their phases
@@ -53,14 +56,14 @@ def polished_bound(M: Complex, balance: Array, enough: float = 0.0) -> tuple[Arr
     upper, best = np.full(len(M), np.inf), balance.copy()
     size = np.full(len(M), np.inf)
     p, step, old = np.full(len(M), FIRST), np.zeros(balance.shape), balance.copy()
-    todo = np.arange(len(M))
+    todo, enough = np.arange(len(M)), np.broadcast_to(enough, len(M))
     for _ in range(POLISH):
         new = old[todo] + step[todo]
         values, U, V, scaled = _singular(M[todo], new)
         better = values[:, -1] < upper[todo]
         upper[todo], best[todo] = np.where(better, values[:, -1], upper[todo]), np.where(better[:, None], new, best[todo])
         u, v = U[..., -1], V[..., -1]
-        level = (np.abs(np.abs(u) ** 2 - np.abs(v) ** 2).max(axis=1) <= LEVEL) | (upper[todo] <= np.where(p[todo] >= SHARP, enough, 0.0))
+        level = (np.abs(np.abs(u) ** 2 - np.abs(v) ** 2).max(axis=1) <= LEVEL) | (upper[todo] <= np.where(p[todo] >= SHARP, enough[todo], 0.0))
         down = _schatten(values, p[todo]) <= size[todo] * (1 + 1e-12)
         level |= down & (p[todo] == LAST)
         down &= ~level
@@ -127,30 +130,49 @@ def largest_bound(M: Complex) -> tuple[float, int, float]:
     """
     if not np.isfinite(M).all():
         raise NotConverged("the sensitivity of the loop is not finite at some frequencies: a root lies on the stability boundary to rounding")
+    found = raised([M], [-1.0])[0]
+    return found.value, found.index, found.lower
+
+
+@dataclass(frozen=True, eq=False)
+class Raised:
+    """The largest upper bound of mu over k matrices that exceeds a given one."""
+
+    value: float
+    index: int  #: -1: none does
+    lower: float  #: the lower bound that polishing finds there
+    bound: Array  #: (k,) upper bounds of all: those that could exceed the largest so far are polished
+    balance: Array  #: (k, n)
+
+
+def raised(every: Sequence[Complex], above: Sequence[float]) -> list[Raised]:
+    """For each set of matrices (k, n, n), all of one n, the largest upper bound that exceeds its ``above``; the sets are worked on together."""
+    ends = np.cumsum([len(M) for M in every])
+    first = ends - [len(M) for M in every]
+    M = np.concatenate(every)
     bound, balance = osborne_bound(M)
-    return raised(M, bound, balance)
-
-
-def raised(M: Complex, bound: Array, balance: Array, above: float = -1.0) -> tuple[float, int, float]:
-    """Largest upper bound of mu over (k, n, n) that exceeds ``above``, its index (-1: none does), and the lower bound that polishing finds there.
-
-    ``bound`` (k,) with its ``balance`` (k, n) ranks all matrices. Those that can still exceed the largest so far are polished, and both replaced.
-    """
-    best, where, attained = above, -1, 0.0
-    order = np.argsort(-bound, kind="stable")
-    if M.shape[-1] == 1:
-        top = float(bound[order[0]])
-        return (top, int(order[0]), top) if top > above else (above, -1, 0.0)
-    for start in range(0, order.size, AT_ONCE):
-        some = order[start : start + AT_ONCE]
-        some = some[bound[some] > best * (1 + CLOSE)]
-        if not some.size:
-            break
-        bound[some], balance[some], lower = polished_bound(M[some], balance[some], max(best, 0.0))
-        top = int(bound[some].argmax())
-        if bound[some[top]] > best:
-            best, where, attained = float(bound[some[top]]), int(some[top]), float(lower[top])
-    return best, where, min(attained, best)
+    order = [start + np.argsort(-bound[start:end], kind="stable") for start, end in zip(first, ends, strict=True)]
+    best, where, attained = np.array(above, float), np.full(len(every), -1), np.zeros(len(every))
+    todo, exact = list(range(len(every))), M.shape[-1] == 1
+    while todo:
+        tried = [order[j][:AT_ONCE] for j in todo]
+        tried = [some[bound[some] > best[j] * (1 + (0 if exact else CLOSE))] for j, some in zip(todo, tried, strict=True)]
+        some, lower = np.concatenate(tried), np.zeros(len(M))
+        if exact:
+            lower = bound
+        elif some.size:
+            enough = np.repeat(np.maximum(best[todo], 0.0), [one.size for one in tried])
+            bound[some], balance[some], lower[some] = polished_bound(M[some], balance[some], enough)
+        for j, one in zip(todo, tried, strict=True):
+            top = one[bound[one].argmax()] if one.size else -1
+            if one.size and bound[top] > best[j]:
+                best[j], where[j], attained[j] = bound[top], top - first[j], lower[top]
+            order[j] = order[j][AT_ONCE:] if one.size else one
+        todo = [j for j in todo if order[j].size]
+    return [
+        Raised(float(best[j]), int(where[j]), float(min(attained[j], best[j])), bound[a:b], balance[a:b])
+        for j, (a, b) in enumerate(zip(first, ends, strict=True))
+    ]
 
 
 def lower_bound(M: Complex, enough: float = np.inf) -> float:

@@ -58,12 +58,22 @@ def test_unitary_channel_phases_do_not_change_mu() -> None:
 def test_only_what_exceeds_the_largest_so_far_is_polished() -> None:
     rng = np.random.default_rng(4)
     M = rng.normal(size=(20, 4, 4)) + 1j * rng.normal(size=(20, 4, 4))
-    bound, balance = osborne_bound(M)
-    rough = bound.copy()
-    best, where, _ = raised(M, bound, balance)
-    assert bound[where] == best == largest_bound(M)[0]
-    assert (bound <= rough).all() and (bound < rough).any() and (bound == rough).any()
-    assert raised(M, *osborne_bound(M), above=best) == (best, -1, 0.0)
+    rough = osborne_bound(M)[0]
+    found = raised([M], [-1.0])[0]
+    assert found.bound[found.index] == found.value == largest_bound(M)[0]
+    assert (found.bound <= rough).all() and (found.bound < rough).any() and (found.bound == rough).any()
+    again = raised([M], [found.value])[0]
+    assert (again.value, again.index, again.lower) == (found.value, -1, 0.0)
+
+
+def test_sets_worked_on_together_have_the_largest_of_each_alone() -> None:
+    rng = np.random.default_rng(14)
+    every = [rng.normal(size=(k, 3, 3)) + 1j * rng.normal(size=(k, 3, 3)) for k in (1, 20, 9)]
+    above = [-1.0, 1.0, 1e3]
+    for M, least, found in zip(every, above, raised(every, above), strict=True):
+        alone = raised([M], [least])[0]
+        assert (found.index, found.value) == (alone.index, pytest.approx(alone.value, rel=1e-12))
+        assert found.bound == pytest.approx(alone.bound, rel=1e-12) and found.lower <= found.value
 
 
 def test_up_to_three_scalars_both_bounds_meet() -> None:

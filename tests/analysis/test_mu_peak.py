@@ -9,15 +9,19 @@ import numpy as np
 import pytest
 
 from mfc_analysis.analysis import mu_peak as room
-from mfc_analysis.analysis.frequency.sensitivity import opened, sensitivity
-from mfc_analysis.analysis.mu import largest_bound
-from mfc_analysis.analysis.mu_peak import mu_peak
+from mfc_analysis.analysis.frequency.sensitivity import Opened, opened, sensitivity
+from mfc_analysis.analysis.mu import largest_bound, raised
+from mfc_analysis.analysis.mu_peak import Peak, mu_peaks
 from tests.analysis.conftest import open_system
 from tests.analysis.frequency.test_taylor import LOOPS
 from tests.analysis.test_disk import SATELLITE, coupled, feedback
 
 s = control.tf("s")
 NO_HINT = np.array([-1.0 + 0j])
+
+
+def mu_peak(channels: Opened, index: int, poles: np.ndarray) -> Peak:
+    return mu_peaks(channels, [(index, poles)])[0]
 
 
 @pytest.mark.parametrize("zeta", [1e-6, 1e-3, 0.1])
@@ -87,3 +91,21 @@ def test_torque_and_encoder_together_are_certain_with_dead_time_and_without(name
     fine = largest_bound(sensitivity(channels, 0, w[w >= 0.01]) - np.eye(channels.wires.size) / 2)[0]
     assert found.certain
     assert fine * (1 - 1e-6) <= found.value <= fine * (1 + 1e-5)
+
+
+def test_points_searched_together_have_the_peaks_of_each_alone(monkeypatch) -> None:
+    each = [coupled(seed, 3, 0.5) for seed in range(5)]
+    together = replace(each[0], times=np.arange(5.0), **{k: np.concatenate([getattr(one, k) for one in each]) for k in "ABCD"})
+    monkeypatch.setattr(room, "TOGETHER", 3)
+    found = mu_peaks(opened(together, "torque"), [(i, NO_HINT) for i in range(5)])
+    for one, peak in zip(each, found, strict=True):
+        alone = mu_peak(opened(one, "torque"), 0, NO_HINT)
+        assert (peak.value, peak.frequency, peak.certain) == (pytest.approx(alone.value, rel=1e-12), pytest.approx(alone.frequency, rel=1e-9), True)
+
+
+def test_mu_is_computed_of_the_matrices_of_many_points_at_a_time(monkeypatch) -> None:
+    one, sets = coupled(4, 3, 0.5), []
+    many = replace(one, times=np.arange(8.0), **{k: np.repeat(getattr(one, k), 8, axis=0) for k in "ABCD"})
+    monkeypatch.setattr(room, "raised", lambda every, above: (sets.append(len(every)), raised(every, above))[1])
+    mu_peaks(opened(many, "torque"), [(i, NO_HINT) for i in range(8)])
+    assert set(sets) == {8}
