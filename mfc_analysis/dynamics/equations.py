@@ -29,7 +29,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -131,6 +131,7 @@ class Equations:
     joints: JointHardware = field(init=False)
     parts: Mapping[str, Part] = field(init=False)
     _where: tuple[tuple[str, slice], ...] = field(init=False, repr=False)
+    _still: Array = field(init=False, repr=False)  #: (n,) zeros
     state_names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -146,6 +147,7 @@ class Equations:
         set_(self, "parts", parts)
         set_(self, "_where", tuple((name, where) for name, (where, _) in parts.items()))
         set_(self, "state_names", tuple(names))
+        set_(self, "_still", np.zeros(self.n))
 
     # --- the layout ----------------------------------------------------------------------------------------------
 
@@ -299,13 +301,13 @@ class Equations:
         joints = self.joints
         motor = joints.springs is not None and joints.springs.motor_encoder
         q = wires("position", s["theta"] if motor else s["q"])
-        v: Vector = np.zeros(self.n)
-        if self.actuator == "torque":
+        v: Vector = self._still
+        if self.law.plant == "torque":
             v = wires("rate", s["omega"] if motor else s["v"])
             if joints.velocity_filter is not None:
                 rates["v_filter"] = (v - s["v_filter"]) * (1 / joints.velocity_filter)
                 v = s["v_filter"]
-        measured: Vector = np.zeros(6)
+        measured: Vector = NO_WRENCH
         if self.law.senses_force:
             measured = wires("force", F)
             if self.hardware.force_filter is not None:
@@ -322,7 +324,7 @@ class Equations:
         if self.lag is not None:
             rates["lag"] = (drive - s["lag"]) * (1 / self.lag)
             drive = s["lag"]
-        if self.actuator == "velocity":
+        if self.law.plant == "velocity":
             rates["q"] = drive + disturbance
             return rates
         if springs is not None:
@@ -346,7 +348,7 @@ class Equations:
     def limited(self, command: Vector) -> Vector:
         """The command, saturated at the limits of the actuators."""
         limit = self.joints.torque_limit
-        if limit is None or self.actuator == "velocity":
+        if limit is None or self.law.plant == "velocity":
             return command
         return elementwise(command, lambda u: np.clip(u, -limit, limit), lambda u: np.where(np.abs(u) <= limit, 1.0, 0.0))
 
@@ -392,7 +394,12 @@ class Equations:
             rates.update(self.move(s, command, F, 0.0 if disturbance is None else disturbance))
         except (NearSingular, NearPi) as why:
             raise at_time(why, t) from None
-        return self.state_rates(rates, x.shape[:-1])
+        if x.ndim > 1:
+            return self.state_rates(rates, x.shape[:-1])
+        out, plain = np.empty(x.shape), cast(Mapping[str, Array], rates)
+        for name, where in self._where:
+            out[where] = plain[name]
+        return out
 
 
 def _shifted(X: Pose, shift: Vector | None) -> Pose:

@@ -46,7 +46,7 @@ class Gain:
     def __get__(self, law: object, owner: type) -> Gain: ...
     def __get__(self, law: object | None, owner: type) -> Gain:
         if law is not None:
-            found: Gain = vars(law)[self.name]
+            found: Gain = law.__dict__[self.name]
             return found
         if self.required:  # dataclasses read the default from the class
             raise AttributeError(f"{self.name} has no default")

@@ -286,6 +286,9 @@ class Primitives:
     ) -> list[Array]:
         """Calls at every point (None: zeros) and copies Pinocchio's arrays, which each call overwrites, into batches."""
         lead = _lead(q, more)
+        if self._plain and q.size == self.n and lead in ((), (1,)):
+            call(model, data, *(self._zero if x is None else x.reshape(-1) for x in (q, *more)))
+            return [view.copy().reshape(*lead, *view.shape) for view in views]
         count, columns = self._columns(lead, q, more)
         outs = [np.empty((count, *view.shape)) for view in views]
         pairs = list(zip(outs, views, strict=True))

@@ -151,7 +151,7 @@ class Sinusoid(JointReference):
     _center: Array = field(init=False, repr=False)
     _amplitude: Array = field(init=False, repr=False)
     _frequency: Array = field(init=False, repr=False)
-    _phase: Array = field(init=False, repr=False)
+    _phase: Array | None = field(init=False, repr=False)  #: None: 0
     _speed: Array = field(init=False, repr=False)  #: largest v
     _minus_square: Array = field(init=False, repr=False)  #: a for each unit of the swing
 
@@ -161,7 +161,7 @@ class Sinusoid(JointReference):
         amplitude, phase = checks.per_joint("amplitude", self.amplitude, n), checks.per_joint("phase", self.phase, n)
         frequency = checks.per_joint("frequency", self.frequency, n, low=0.0)
         _set(self, center=center, amplitude=amplitude, frequency=frequency, phase=phase)
-        _set(self, _center=center, _amplitude=amplitude, _frequency=frequency, _phase=phase)
+        _set(self, _center=center, _amplitude=amplitude, _frequency=frequency, _phase=phase if phase.any() else None)
         _set(self, _speed=amplitude * frequency, _minus_square=-(frequency**2))
 
     @property
@@ -180,7 +180,9 @@ class Sinusoid(JointReference):
         return least_common_period(self._frequency[self._amplitude * self._frequency != 0])
 
     def _at(self, t: Array) -> JointPoint:
-        angle = t[..., None] * self._frequency + self._phase
+        angle = (t[..., None] if t.ndim else t) * self._frequency
+        if self._phase is not None:
+            angle = angle + self._phase
         swing = self._amplitude * np.sin(angle)
         return JointPoint(self._center + swing, self._speed * np.cos(angle), self._minus_square * swing)
 

@@ -8,6 +8,7 @@ import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 
 import mfc_analysis as mfc
 from mfc_analysis.analysis.frequency.response import frequency_response
@@ -159,3 +160,17 @@ def test_a_loop_whose_poles_without_dead_time_lie_on_the_axis_has_margins_with_i
     assert_allclose(found.sensitivity_peak[0, 0], np.abs(1 / (1 + L(1j * w) * np.exp(-1j * w * T))).max(), rtol=1e-6)
     for gain, expectation in ((0.999, True), (1.001, False)):  # the pair is lost where the dead time no longer damps it
         assert stability(open_system(gain * found.gain_increase[0, 0] * L, delay=T)).nonzero_stable[0] == expectation
+
+
+def test_the_gain_reduction_of_a_loop_with_a_huge_gain_has_its_digits():
+    """K (s^2 + 2s + 1.5)/s^3 with K = 1e5: S is about 1e-5 at the crossing, which follows from the imaginary part of the loop itself."""
+    K, T = 1e5, 1e-7
+    s = control.tf("s")
+
+    def loop(w: float) -> complex:
+        return K * np.exp(-1j * w * T) * (1.5 - w * w + 2j * w) / (1j * w) ** 3
+
+    w = brentq(lambda w: loop(w).imag, 1.0, 1.5, xtol=1e-15)
+    found = mfc.margins(K * (s**2 + 2 * s + 1.5) / s**3, delay=T)
+    assert found.gain_reduction.item() == pytest.approx(-1 / loop(w).real, rel=3e-9)
+    assert found.reduction_frequency.item() == pytest.approx(w, rel=3e-9)
