@@ -123,8 +123,8 @@ def _climbed(e: Equations, base: Simulation, basis: Array, starts: Array, size: 
         gain, turn = np.where(back, -gain, gain), np.where(back, -turn, turn)
         rank = np.argsort(np.argsort(-gain, axis=1), axis=1)
         some = np.stack([(rank < count) & (gain > 0) for count in (*TOGETHER, k)], axis=1)
-        tried = np.concatenate([c[:, None], _inside(c[:, None] + step * some * turn[:, None], n)], axis=1)
-        reached = misfits(tried)
+        tried = _inside(c[:, None] + step * some * turn[:, None], n)
+        reached, tried = np.concatenate([reached[:, :1], misfits(tried)], axis=1), np.concatenate([c[:, None], tried], axis=1)
         best = reached.argmax(axis=1)
         moved_none = 0.0 if best.any() else step
         c, worst = tried[np.arange(len(c)), best], reached[np.arange(len(c)), best]
