@@ -207,7 +207,8 @@ def _peaks(point: Sensitivities, some: Ints, w: Array, H: Complex, peak: Array, 
     a, x, b = w[row, low], w[row, k], w[row, high]
     fa, f, fb = size[row, channel, low], size[row, channel, k], size[row, channel, high]
     tried = a[:, None] + (b - a)[:, None] * np.linspace(0, 1, 9)
-    found = np.abs(1 + point.one(np.repeat(owner, 9), np.repeat(channel, 9), on_axis(tried.ravel()))).reshape(tried.shape)
+    inner = np.abs(1 + point.one(np.repeat(owner, 7), np.repeat(channel, 7), on_axis(tried[:, 1:-1].ravel()))).reshape(-1, 7)
+    found = np.column_stack([fa, inner, fb])
     highest, first = found.max(axis=1), found.argmax(axis=1)
     best, at = np.where(highest > f, highest, f), np.where(highest > f, tried[each, first], x)
     top = np.clip(first, 1, 7)
