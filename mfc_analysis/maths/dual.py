@@ -75,6 +75,28 @@ class Seed(Dual):
             return super().__getitem__(part)
         return Seed(self.value[..., part], self.start + first, self.tangent.shape[-1], self.tangent[..., part, :])
 
+    def __neg__(self) -> Dual:
+        return Dual(-self.value, self._times(-1.0))
+
+    def __rsub__(self, other: Vector) -> Dual:
+        if isinstance(other, Dual):  # Python asks the subclass first
+            return Dual.__sub__(other, self)
+        return Dual(other - self.value, self._times(-1.0))
+
+    def __mul__(self, other: Vector) -> Dual:
+        if isinstance(other, Dual):
+            return super().__mul__(other)
+        return Dual(self.value * other, self._times(other))
+
+    __rmul__ = __mul__
+
+    def _times(self, factor: Array | float) -> Array:
+        """The tangent of the components times a constant."""
+        out = np.zeros(self.tangent.shape)
+        k = np.arange(self.value.shape[-1])
+        out[..., k, self.start + k] = factor
+        return out
+
 
 Vector: TypeAlias = Array | float | Dual
 

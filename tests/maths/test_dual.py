@@ -92,4 +92,7 @@ def test_independent_variables_have_the_tangent_of_their_directions_in_sums_chai
     found, want = (chain(np.zeros((2, 4)), (lambda: Q, s[:3]), (lambda: R, s * s)) for s in (x, plain))
     assert_allclose(found.tangent, want.tangent, rtol=1e-15, atol=1e-15)  # summed in another order
     assert not isinstance(x[::2], Seed) and np.array_equal(x[::2].tangent, plain[::2].tangent)
-    assert not isinstance(2 * x, Seed) and np.array_equal((2 * x).tangent, 2 * x.tangent)
+    w = rng.normal(size=6)
+    for act in (lambda s: 2 * s, lambda s: s * w, lambda s: -s, lambda s: w - s, lambda s: plain - s, lambda s: s - plain, lambda s: plain * s):
+        found, want = act(x), act(plain)
+        assert not isinstance(found, Seed) and np.array_equal(found.value, want.value) and np.array_equal(found.tangent, want.tangent)
