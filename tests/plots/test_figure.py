@@ -133,3 +133,13 @@ def test_a_shortened_legend_tells_its_joints_apart():
 @pytest.mark.parametrize(("value", "said"), [(0.0, "0"), (-1e5, "−1e5"), (1e-6, "1e-6"), (0.25, "0.25"), (12000.0, "12000")])
 def test_tick_labels_have_no_offset(value, said):
     assert sheet.tick(value).replace("−", "-") == said.replace("−", "-")
+
+
+@pytest.mark.parametrize(("value", "said"), [(0.0, "0"), (-250.0, "−250"), (1e4, "10⁴"), (-1e5, "−10⁵"), (1e-6, "10⁻⁶"), (1e13, "10¹³")])
+def test_labels_of_a_logarithmic_axis_are_text_of_the_font(value, said):
+    from matplotlib.font_manager import fontManager
+    from matplotlib.ft2font import FT2Font
+
+    assert sheet.decade(value) == said
+    font = FT2Font(fontManager.findfont("DejaVu Sans"))
+    assert all(font.get_char_index(ord(c)) for c in said)
