@@ -164,6 +164,8 @@ class _Places:
     judge: Judge
     axes: Mapping[str, list[float]]
     active: dict[tuple[float, ...], set[float]] = field(default_factory=dict)  #: case -> times
+    newest: Gains = field(default_factory=dict)  #: the gains of the loops in ``built``
+    built: dict[tuple[float, ...], ClosedLoop] = field(default_factory=dict)
     count: int = 0
     last: MfcError | None = None
 
@@ -180,10 +182,14 @@ class _Places:
         return dict(zip(self.axes, values, strict=True))
 
     def loop(self, x: Gains, values: tuple[float, ...]) -> ClosedLoop:
-        made = self.make(**x, **self.case(values))
-        if not isinstance(made, ClosedLoop):
-            raise BadArgument("make_loop", made, "a function that returns a ClosedLoop")
-        return made
+        if x != self.newest:
+            self.newest, self.built = dict(x), {}
+        if values not in self.built:
+            made = self.make(**x, **self.case(values))
+            if not isinstance(made, ClosedLoop):
+                raise BadArgument("make_loop", made, "a function that returns a ClosedLoop")
+            self.built[values] = made
+        return self.built[values]
 
     def distance(self, x: Gains) -> float:
         """The smallest distance to a limit, relative to it, at the active places, less the reserve; -inf: no such loop."""

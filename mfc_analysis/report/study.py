@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING
 from mfc_analysis.errors import MfcError
 from mfc_analysis.study.check import LoopCheck, check as check_study
 from mfc_analysis.study.errors import StudyError
-from mfc_analysis.study.limits import limits
+from mfc_analysis.study.limits import COLUMNS, LoopLimits, limits, requirement_limits
 from mfc_analysis.study.measured import compared
+from mfc_analysis.study.tuned import tuned
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.comparison import Comparison
     from mfc_analysis.analysis.frf import FrequencyResponse
     from mfc_analysis.design.searches import Limit
+    from mfc_analysis.design.tuning import Tuned
     from mfc_analysis.report.document.document import Document, Section
     from mfc_analysis.requirements.line import Line
     from mfc_analysis.study.read import Study
@@ -89,9 +91,15 @@ def document(study: Study, done: Callable[[str], None] | None = None, progress: 
     if any(one.table.ranges.model_fields_set for one in loops):
         sections += [ranges_section(found) for found in check_study(study, progress) if found.cases > 1]
     for one in loops:
+        many = len(loops) > 1
         searched = limits(one, progress)
         if searched:
-            sections.append(limits_section(one.name, searched, many=len(loops) > 1))
+            sections.append(limits_section(one.name, searched, many=many))
+        if one.table.design.limits:
+            sections.append(would_pass_section(requirement_limits(one, progress), many=many))
+        gains = tuned(one)
+        if gains is not None:
+            sections.append(tuned_section(one.name, gains, many=many))
     return replace(made, sections=tuple(sections), subtitle=study.text or made.subtitle)
 
 
@@ -153,6 +161,47 @@ def limits_section(name: str, searched: Sequence[Limit], *, many: bool) -> Secti
     title = f"{name}: design limits" if many else "Design limits"
     numbers = {limit.name: {"value": float(limit), "unit": limit.unit, "evaluations": limit.evaluations} for limit in searched}
     return Section(title, finding, (Table("Limits found by bisection on exact stability or on the requirements.", columns, rows),), numbers=numbers)
+
+
+def would_pass_section(found: LoopLimits, *, many: bool) -> Section:
+    """The limits at which the requirements are met, with what binds and its pose, and what each imperfection costs as a table and bars."""
+    from mfc_analysis import plots
+    from mfc_analysis.report.document.document import Block, Bullets, Column, Figure, Section, Table
+    from mfc_analysis.study.compare import titles
+
+    name, costs = found.loop.name, found.costs
+    head = tuple(Column(word[:1].upper() + word[1:], numeric=False) for word in COLUMNS)
+    body: list[Block] = [
+        Table("Limits at which the requirements are just met, each quantity varied alone from its value in the study.", head, tuple(found.rows()))
+    ]
+    said = found.sentences()
+    body += [Bullets(tuple(f"{text[:1].upper()}{text[1:]}." for text in said))] if said else []
+    if costs.factors:
+        (label, title), k = titles(costs), costs.shown
+        bars = partial(plots.costs, costs.factors, costs.first[:, k], costs.last[:, k], float(costs.joint[k]), xlabel=label, title=title)
+        body.append(
+            Figure(bars, "Cost of each imperfection, alone in the ideal loop and on top of all the others.", f"{title}: {costs.joint[k]:.3g} in all.")
+        )
+        words, *rows = costs.rows()
+        caption = "Cost of each imperfection alone (in brackets: on top of all the others); positive: worse."
+        body.append(Table(caption, tuple(Column(word or "Imperfection", numeric=False) for word in words), tuple(rows)))
+    first = found.found[0]
+    value, start = found.rows()[0][1:3]
+    finding = f"{'Met as given' if found.met else 'Not met as given'}; {first.name}: {value} (as given: {start})."
+    numbers = {one.name: {"value": None if one.limit is None else float(one.limit), "as given": one.given, "unit": one.unit} for one in found.found}
+    return Section(f"{name}: what would make it pass" if many else "What would make it pass", finding, tuple(body), numbers=numbers)
+
+
+def tuned_section(name: str, found: Tuned, *, many: bool) -> Section:
+    """The tuned gains, what binds, and what one more hertz would miss."""
+    from mfc_analysis.report.document.document import Bullets, Column, Number, Section, Table
+
+    rows = tuple((gain, Number(value, digits=6)) for gain, value in found.gains.items())
+    table = Table("Gains that meet the requirements over the path and the ranges.", (Column("Gain", numeric=False), Column("Value")), rows)
+    lines = [line.strip() for line in str(found).splitlines()[1:]]
+    finding = f"{lines[0][:1].upper()}{lines[0][1:]}."
+    blocks = (table, Bullets(tuple(f"{line[:1].upper()}{line[1:]}." for line in lines[1:])))
+    return Section(f"{name}: tuned gains" if many else "Tuned gains", finding, blocks, numbers={"gains": found.gains, "met": found.met})
 
 
 def chapter(out: str | os.PathLike[str], formats: Sequence[str], progress: Progress) -> tuple[Path, ...]:

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 
 from mfc_analysis.robots.coupling import lacks_armature
 from mfc_analysis.study.limits import limits, number
+from mfc_analysis.study.tuned import tuned
 
 if TYPE_CHECKING:
     from mfc_analysis.design.searches import Limit
+    from mfc_analysis.design.tuning import Tuned
     from mfc_analysis.requirements.line import Line
     from mfc_analysis.requirements.requirements import Verdict
     from mfc_analysis.study.read import Study, StudyLoop
@@ -31,6 +33,7 @@ class LoopCheck:
     verdicts: tuple[tuple[str, Verdict], ...]  #: case and verdict, in the order of the ranges
     notes: tuple[str, ...]
     limits: tuple[Limit, ...] = ()  #: of the ``[design]`` table
+    tuned: Tuned | None = None  #: its gains
 
     @property
     def cases(self) -> int:
@@ -69,6 +72,7 @@ class LoopCheck:
                 out.append(f"{status}: {self.loop.name}: {label}: found {found}, required {asked}{f' ({where})' if where else ''}")
         out += [f"note: {note}" for note in self.notes]
         out += [f"limit: {limit}" for limit in self.limits]
+        out += [f"tuned: {self.tuned}"] if self.tuned is not None else []
         return [*out, f"{self.status}: {self.loop.name}"]
 
 
@@ -78,7 +82,7 @@ def check(study: Study, progress: Progress = lambda what, done, of: None, *, sea
     Raises StudyError if a loop cannot be checked.
     """
     found = tuple(_check(loop, progress) for loop in study.loops)
-    return tuple(replace(one, limits=limits(one.loop, progress)) for one in found) if search else found
+    return tuple(replace(one, limits=limits(one.loop, progress), tuned=tuned(one.loop)) for one in found) if search else found
 
 
 def _check(one: StudyLoop, progress: Progress) -> LoopCheck:
@@ -116,5 +120,7 @@ def as_json(checks: Sequence[LoopCheck]) -> str:
             for line, case in one.lines
         ]  # fmt: skip
         limits = {limit.name: {"value": number(float(limit)), "unit": limit.unit, "binds": limit.binds} for limit in one.limits}
-        out.append({"loop": one.loop.name, "status": one.status, "cases": one.cases, "lines": lines, "notes": list(one.notes), "limits": limits})
+        gains = {} if one.tuned is None else {"tuned": {"gains": one.tuned.gains, "met": one.tuned.met, "case": one.tuned.case}}
+        notes = list(one.notes)
+        out.append({"loop": one.loop.name, "status": one.status, "cases": one.cases, "lines": lines, "notes": notes, "limits": limits, **gains})
     return json.dumps(out, indent=2, ensure_ascii=False)

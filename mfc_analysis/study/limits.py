@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 Loops = Callable[[float], Sequence["ClosedLoop"]]
 
+SEARCHES = ("max_stiffness", "max_delay", "max_payload", "min_sample_rate", "max_bandwidth")  #: keys of ``[design]``, searches of ``mfc.design``
 COLUMNS = ("limit", "value", "as given", "binding requirement", "where", "when")
 HEAVIEST, LATEST, SLOWEST, FASTEST = 1e3, 10.0, 10.0, 1e5  #: ends of a search: [kg], [s], [s] period, [1/s]
 STIFFEST = 1e6  #: [N/m] end of a search, or a hundred times the wall as given
@@ -33,7 +34,7 @@ def limits(one: StudyLoop, progress: Progress = lambda what, done, of: None) -> 
     """The limits selected in the ``[design]`` table of a loop, in its order. Raises StudyError if a search does not apply."""
     from mfc_analysis import design
 
-    asked = [name for name in type(one.table.design).model_fields if getattr(one.table.design, name)]
+    asked = [name for name in SEARCHES if getattr(one.table.design, name)]
     out: list[Limit] = []
     for i, name in enumerate(asked):
         progress(f"{one.name}: {name}", i, len(asked))

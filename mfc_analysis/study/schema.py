@@ -304,14 +304,33 @@ class RangesTable(Table):
     sample_time: Span | None = None
 
 
+class TuneTable(Table):
+    """Gains to tune, each from low to high: of ``law.gains`` (bandwidth, damping) or of the law; the requirements are met over the ranges."""
+
+    in_units: ClassVar[dict[str, str]] = {"bandwidth": "bandwidth_hz", "wanted": "wanted_hz"}
+    bandwidth: Vector | None = None  #: [rad/s]
+    bandwidth_hz: Vector | None = None
+    damping: Vector | None = None
+    kp: Vector | None = None
+    ki: Vector | None = None
+    kd: Vector | None = None
+    kfp: Vector | None = None
+    kfi: Vector | None = None
+    kdamp: Vector | None = None
+    wanted: Number | None = None  #: [rad/s] bandwidth to come nearest to; omitted: the fastest gains
+    wanted_hz: Number | None = None
+
+
 class DesignTable(Table):
-    """Limits to search for, by bisection on exact stability."""
+    """What to search for: edges of stability, limits at which the requirements are met, and gains."""
 
     max_stiffness: bool = False
     max_delay: bool = False
     max_payload: bool = False
     min_sample_rate: bool = False
     max_bandwidth: bool = False  #: of law.gains, meeting the requirements over the ranges
+    limits: bool = False  #: of every quantity, with the requirements met, and the cost of each imperfection: a section of the report
+    tune: TuneTable | None = None
 
 
 class MeasuredTable(Table):

@@ -100,3 +100,19 @@ def test_a_measured_loop_has_a_section_with_its_verdict_and_the_margins_of_both(
     assert "optimistic" in str(section.finding) and section.numbers["verdict"] in str(section.finding).replace("The model", "the model")
     assert table.rows[0][0] == "phase margin" and section.numbers["margins"]["phase margin"]["model"] == "90 deg"
     assert "r (no bias by feedback)" in str(section.body[0]) and len(figure.draw()) == 3
+
+
+# --- what would make it pass, and gains --------------------------------------------------------------------------------------
+
+
+def test_what_would_make_it_pass_has_the_limits_the_costs_and_the_bars(tmp_path: Path) -> None:
+    text = TEXT + "[hardware]\ndelay = 0.25\nvelocity_lag = 0.01\n[design]\nlimits = true\ntune = { kp = [0.1, 10] }\n"
+    made = pages.document(study(tmp_path, text))
+    section, gains = made.sections[-2:]
+    assert section.title == "What would make it pass" and gains.title == "Tuned gains"
+    numbers = section.numbers["largest dead time"]
+    w = float(np.sqrt((np.sqrt(1 + 4 * (K * 0.01) ** 2) - 1) / 2) / 0.01)
+    assert numbers["value"] == pytest.approx(float((np.pi / 4 - np.arctan(0.01 * w)) / w), rel=1e-4) and numbers["as given"] == 0.25
+    assert str(section.finding).startswith("Not met as given; largest dead time: 0.18")
+    assert [type(block).__name__ for block in section.body] == ["Table", "Bullets", "Figure", "Table"]
+    assert gains.numbers["met"] and gains.numbers["gains"]["kp"] < K
