@@ -14,7 +14,7 @@ With ``dt > 0`` the model is discrete (x' is the next x) and includes the dead t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,6 +83,11 @@ class OpenSystem:
         """The same system at some of its points."""
         held = None if self.held is None else self.held.at(index)
         return replace(self, times=self.times[index], A=self.A[index], B=self.B[index], C=self.C[index], D=self.D[index], held=held)
+
+
+def signals(names: Iterable[str]) -> list[str]:
+    """Names as python-control takes them: it allows no full stop."""
+    return [name.replace(".", "_") for name in names]
 
 
 def checked_horizon(horizon: float, sample_time: float = 0.0) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mfc_analysis.analysis.channels import channel_number, channels, has_rate, point_wires
 from mfc_analysis.analysis.frequency.response import frequency_response
-from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.analysis.system import OpenSystem, close_wires, signals
 from mfc_analysis.maths.arrays import Array
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def closed_model(system: OpenSystem) -> StateSpace:
     A, B, C, D = (M[0] for M in close_wires(system))
     return control.ss(
         A, B, C, D, system.dt, name=_named("closed_loop", system),
-        states=list(system.state_names), inputs=list(system.input_names), outputs=list(system.output_names),
+        states=signals(system.state_names), inputs=signals(system.input_names), outputs=signals(system.output_names),
     )  # fmt: skip
 
 
@@ -46,7 +46,7 @@ def loop_model(system: OpenSystem, at: str, channel: int | str | None) -> StateS
         b, d = b + A @ into, d + c @ into
     return control.ss(
         A, b[:, None], -c[None, :], [[-d]], system.dt,
-        inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"], name=_named(f"L_{at}_{names[j]}", system),
+        inputs=signals([f"{at}_{names[j]}_in"]), outputs=signals([f"{at}_{names[j]}_out"]), name=_named(f"L_{at}_{names[j]}", system),
     )  # fmt: skip
 
 
@@ -57,9 +57,9 @@ def measured_model(system: OpenSystem, frequencies: Array, at: str, channel: int
     names = tuple(channels(system, at).names)
     j = 0 if channel is None else channel_number(channel, names)
     L = frequency_response(system, frequencies, at)[0, j]
-    return control.frd(
-        L, frequencies, inputs=[f"{at}_{names[j]}_in"], outputs=[f"{at}_{names[j]}_out"], name=f"L_{at}_{names[j]}".replace(".", "_"), smooth=False
-    )
+    name = f"L_{at}_{names[j]}".replace(".", "_")
+    into, out = (signals([f"{at}_{names[j]}_{end}"]) for end in ("in", "out"))
+    return control.frd(L, frequencies, inputs=into, outputs=out, name=name, smooth=False)
 
 
 def _named(name: str, system: OpenSystem) -> str:

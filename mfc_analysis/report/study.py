@@ -33,7 +33,7 @@ MOST_ROWS = 40  #: cases shown on a page
 #: sections of a loop that ``report.sections`` of a study can select, with their titles
 PAGES: dict[str, tuple[str, ...]] = {
     "loop": ("The loop and its parameters",),
-    "margins": ("Stability margins",),
+    "margins": ("Stability margins", "A second opinion by python-control"),
     "poles": ("Poles",),
     "path": ("Along the path",),
     "run": ("Step response, linear and nonlinear", "Nonlinear simulation"),

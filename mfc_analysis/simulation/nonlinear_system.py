@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mfc_analysis.analysis.system import signals
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, reference_channels
 from mfc_analysis.dynamics.jacobians import external
 from mfc_analysis.errors import MfcWarning, Unsupported
@@ -39,7 +40,7 @@ def nonlinear_system(e: Equations) -> NonlinearIOSystem:
         return np.concatenate([*found, value(flow.F_tip)] if e.surfaces else found)
 
     name = f"{type(e.law).__name__}_on_{e.robot.name}{'_without_dead_time' if late else ''}".replace(".", "_")
-    return control.nlsys(rates, outputs, inputs=list(names.inputs), outputs=list(names.outputs), states=list(names.states), name=name)
+    return control.nlsys(rates, outputs, inputs=signals(names.inputs), outputs=signals(names.outputs), states=signals(names.states), name=name)
 
 
 def _inputs(e: Equations, u: Array) -> Inputs:

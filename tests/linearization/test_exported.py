@@ -11,6 +11,7 @@ from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.linearization.exported import closed_model, loop_model
 from mfc_analysis.linearization.linearization import Linearization
+from mfc_analysis.robots.catalogue import ur5_urdf
 
 W = np.array([0.5, 3.0, 20.0, 60.0])
 
@@ -77,3 +78,11 @@ def test_the_loop_of_one_mass_is_that_of_the_page_for_any_gain(at: str, kd: floa
     L = (160 + kd * s) / (2 * s**2 + 0.5 * s)
     assert_allclose(lin.loop(at=at)(s), L, rtol=1e-12)
     assert_allclose(lin.frequency_response(s.imag, at)[0, 0], L, rtol=1e-12)
+
+
+def test_a_joint_whose_name_has_a_full_stop_is_handed_on_with_an_underscore() -> None:
+    arm = mfc.Robot.from_urdf(ur5_urdf().replace("elbow_joint", "elbow.joint"))
+    loop = mfc.ClosedLoop(arm, mfc.laws.ComputedTorque(kp=100, kd=20), mfc.trajectories.Hold([0.3, -1.2, 1.5, -0.8, -1.4, 0.2]))
+    lin = loop.linearize()
+    for model in (lin.system(), lin.loop(0, channel="elbow.joint"), lin.frd([1.0], channel="elbow.joint"), loop.nlsys()):
+        assert any("elbow_joint" in label for label in model.input_labels)

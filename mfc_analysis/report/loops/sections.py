@@ -28,7 +28,7 @@ from mfc_analysis.report.document.document import (
 from mfc_analysis.report.loops import blocks
 from mfc_analysis.report.loops.parameters import the_loop
 from mfc_analysis.report.loops.step_runs import GROWTH, step_run
-from mfc_analysis.report.loops.view import View
+from mfc_analysis.report.loops.view import View, place_words
 from mfc_analysis.requirements.line import Status
 
 if TYPE_CHECKING:
@@ -194,17 +194,18 @@ def opinion_section(view: View) -> Section:
     """The figures of python-control for the loop in its worst case, beside ours, and why they differ where they do."""
     w = view.worst
     found = view.lin.second_opinion(w.row, view.point, w.channel)
+    words = {"AGREES": "none", "WATCH": "WATCH: no known reason"}
     rows = tuple(
-        (c.name, Number(c.ours, undefined="–"), Number(c.theirs, undefined="–"), c.function, c.judgement.name.lower(), c.why)
+        (c.name, Number(c.ours, undefined="–"), Number(c.theirs, undefined="–"), c.function, c.why or words[c.judgement.name])
         for c in found.comparisons
     )
     heads = (
         Column("Figure", numeric=False),
         Column("Here"),
         Column("python-control"),
-        *(Column(x, numeric=False) for x in ("Its function", "", "Why")),
+        *(Column(x, numeric=False) for x in ("Its function", "Difference")),
     )
-    where = blocks.place_words(w.name, w.time, len(view.times))
+    where = place_words(w.name, w.time, len(view.times))
     table = Table(f"The same model at “{view.point}”, {where}, by python-control {found.version}.", heads, rows)
     agree, watch = sum(not c.why and c not in found.watch for c in found.comparisons), len(found.watch)
     said = f"{agree} of {len(rows)} figures agree, {len(rows) - agree - watch} differ for a known reason"

@@ -78,3 +78,15 @@ def test_without_feedback_a_run_keeps_the_error_that_it_starts_with() -> None:
     assert found == {"first_error": pytest.approx(0.05), "last_error": pytest.approx(0.05)}
     step = sections.time_section(velocity(4.0)).numbers
     assert step["settling"] == pytest.approx(np.log(50.0) / 4.0, rel=1e-6) and step["rise"] == pytest.approx(np.log(9.0) / 4.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "make", [mass, unstable, triple, lambda: velocity(4.0, H(delay=0.1)), open_loop], ids=["mass", "unstable", "triple", "late", "open"]
+)
+def test_the_second_opinion_is_of_the_worst_case_and_leaves_nothing_unexplained(make: Callable[[], View]) -> None:
+    found = make()
+    section = sections.opinion_section(found)
+    ours = found.lin.second_opinion(found.worst.row, found.point, found.worst.channel)
+    (table,) = section.body
+    assert [row[0] for row in table.rows] == [c.name for c in ours.comparisons] and section.numbers == {"second_opinion_watch": []}
+    assert section.finding.endswith("none differs without one.") and ours.version in table.caption
