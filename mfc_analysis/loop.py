@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,6 +22,7 @@ from mfc_analysis.linearization.start import About
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
+from mfc_analysis.notebook import Shown
 from mfc_analysis.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibrium:
+class Equilibrium(Shown):
     """An equilibrium of the closed loop. ``notes`` tells how it was found where the loop is soft, and other rest points met."""
 
     q: Array  #: (n,)
@@ -44,6 +45,13 @@ class Equilibrium:
     x: Array  #: (nx,) the full state
     stable: bool  #: no root grows, dead time, sampling and slow roots left out; ``linearize(about="equilibrium")`` has the full verdict
     notes: tuple[str, ...]  #: sentences
+
+    def __str__(self) -> str:
+        rows = [f"equilibrium, {'stable' if self.stable else 'not stable'}"]
+        rows += [f"  {name:<7} ({', '.join(f'{v:.4g}' for v in getattr(self, name))})" for name in ("q", "error", "force", "torque")]
+        return "\n".join([*rows, *(f"  {note}" for note in self.notes)])
+
+    __repr__ = __str__
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,3 +281,15 @@ class ClosedLoop:
     def __str__(self) -> str:
         extra = "" if not self.equations.surfaces else f", {len(self.equations.surfaces)} surface(s)"
         return f"{self.law} on {self.robot.name}{extra}"
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        from mfc_analysis.notebook import table
+
+        given = {f.name: getattr(self.equations.hardware, f.name) for f in fields(self.equations.hardware) if f.name != "feedback"}
+        hardware = ", ".join(f"{name} = {value}" for name, value in given.items() if value is not None) or "ideal"
+        model = "the plant" if self.equations.model is self.robot else self.equations.model.name
+        rows = [("robot", f"{self.robot.name}, {self.robot.n} joints"), ("law", str(self.law)), ("reference", type(self.ref).__name__)]
+        rows += [("controller's model", model), ("hardware", hardware), ("surfaces", str(len(self.equations.surfaces)))]
+        return table(f"Closed loop of equation {self.law.equation}", ("part", "value"), rows)

@@ -1,9 +1,17 @@
-"""Notebook display of results: one small HTML table each. Imports no other file of the package."""
+"""Notebook display of results: one small HTML table each, or their text. Imports no other file of the package."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
+
+
+class Shown:
+    """A result that a notebook shows as its text: the first line in bold, the others below it as they are."""
+
+    def _repr_html_(self) -> str:
+        head, *rest = str(self).splitlines() or [""]
+        return f"<p><strong>{escape(head)}</strong></p>" + (f"<pre>{escape(chr(10).join(rest))}</pre>" if rest else "")
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]], notes: Iterable[str] = ()) -> str:

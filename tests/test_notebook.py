@@ -9,6 +9,7 @@ import pytest
 
 import mfc_analysis as mfc
 from mfc_analysis.notebook import table
+from tests.test_pickle import results
 
 LOOP = mfc.ClosedLoop(mfc.robots.planar_2r(), mfc.laws.ComputedTorque(100, 50, 20), mfc.trajectories.Hold([0.3, 0.4]))
 LIN = LOOP.linearize(np.array([0.0, 1.0]))
@@ -45,3 +46,19 @@ def test_a_loop_with_dead_time_shows_its_roots_and_not_the_poles_without_it(dela
     assert ("rightmost roots, dead time included" in page) is ("without dead time" in page) is late
     for s, shown in ((lin.poles()[0, 0], not late), (lin.delay_roots(1)[0, 0], True)):
         assert (f"{complex(s):.5g}" in page) is shown
+
+
+def test_every_result_has_html_and_none_prints_its_fields() -> None:
+    """Those that survive a trip to another process are all the results that there are."""
+    for name, result in {**results(), "pole table": LIN.pole_table(), "root table": LIN.root_table(), "loop": LOOP}.items():
+        text = repr(result)
+        assert len(text) < 2500 and "array(" not in text, name
+        if name not in ("pole", "requirements"):
+            assert not text.startswith(f"{type(result).__name__}("), name
+            ElementTree.fromstring(f"<div>{result._repr_html_()}</div>")
+
+
+def test_a_table_of_poles_is_a_tuple_that_prints_a_row_for_each() -> None:
+    found = LIN.pole_table()
+    assert isinstance(found, tuple) and len(str(found).splitlines()) == len(found) + 1 == found._repr_html_().count("<tr>")
+    assert "ComputedTorque" in LOOP._repr_html_() and repr(LOOP) == str(LOOP)

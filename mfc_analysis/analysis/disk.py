@@ -31,6 +31,7 @@ from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from mfc_analysis.plots.figure import Axes
@@ -53,7 +54,7 @@ class Bound(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class DiskMargin:
+class DiskMargin(Shown):
     """Disk margins at m points: all channels perturbed at once, independently.
 
     NaN where a root that is not slow is unstable, or every root is slow.

@@ -21,6 +21,7 @@ import numpy as np
 
 from mfc_analysis.errors import BadArgument, NotConverged
 from mfc_analysis.maths.arrays import Array, Complex
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from mfc_analysis.plots.figure import Axes
@@ -44,7 +45,7 @@ STEPS = 80  #: Magnus steps per period: relative error 6.5e-8 of the multipliers
 
 
 @dataclass(frozen=True, eq=False)
-class Floquet:
+class Floquet(Shown):
     """Floquet multipliers of a periodic loop, with the stability verdict."""
 
     period: float  #: [s]
@@ -95,7 +96,7 @@ class Orbit:
 
 
 @dataclass(frozen=True, eq=False)
-class TransientGrowth:
+class TransientGrowth(Shown):
     """Growth of a disturbance along a path, in the coordinates of the loop. ``float()`` gives the largest."""
 
     times: Array  #: (N,) [s]

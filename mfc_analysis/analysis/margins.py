@@ -31,13 +31,14 @@ from mfc_analysis.analysis.spectrum import rates, spectrum
 from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.maths.arrays import Array, Bools
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from mfc_analysis.plots.figure import Axes
 
 
 @dataclass(frozen=True)
-class Worst:
+class Worst(Shown):
     """The smallest margins over all times and channels, each with its time [s] and channel."""
 
     gain_increase: tuple[float, float, str]  #: factor
@@ -60,6 +61,8 @@ class Worst:
         times = "1 time" if len(self.unstable) == 1 else f"{len(self.unstable)} times"
         before = f"not stable at {times}, first t = {self.unstable[0]:.4g} s; where defined: " if self.unstable else ""
         return before + ", ".join(parts)
+
+    __repr__ = __str__
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,6 +54,9 @@ class Spectrum:
             return None
 
 
+POLE_HEADS = ("pole [1/s, or z]", "wn [rad/s]", "damping", "time constant [s]", "kind")
+
+
 @dataclass(frozen=True)
 class Pole:
     """One row of the table of poles."""
@@ -63,6 +66,25 @@ class Pole:
     damping: float  #: damping ratio; -1..1; NaN of a slow pole
     time_constant: float  #: [s] inf where it does not decay, negative where it grows
     kind: str  #: "slow", "stable", "undamped" or "unstable"
+
+
+class PoleTable(tuple[Pole, ...]):
+    """Rows of poles or roots, as a tuple; printed as a table."""
+
+    __slots__ = ()
+
+    def _rows(self) -> list[tuple[str, str, str, str, str]]:
+        return [(f"{p.value:.5g}", f"{p.frequency:.4g}", f"{p.damping:.3g}", f"{p.time_constant:.4g}", p.kind) for p in self]
+
+    def __str__(self) -> str:
+        return "\n".join("".join(f"{cell:>22}" for cell in row) for row in (POLE_HEADS, *self._rows()))
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        from mfc_analysis.notebook import table
+
+        return table(f"{len(self)} poles", POLE_HEADS, self._rows())
 
 
 def rates(poles: Complex, dt: float) -> Complex:
@@ -105,19 +127,21 @@ def inside(poles: Complex, dt: float, fastest: Array | None = None) -> Bools:
         return np.asarray((s.real < -UNDAMPED * np.abs(s) - floor) | np.isneginf(s.real))
 
 
-def pole_table(system: OpenSystem, index: int) -> tuple[Pole, ...]:
+def pole_table(system: OpenSystem, index: int) -> PoleTable:
     """Natural frequency, damping and time constant of each pole at point ``index``, slowest first."""
     found = spectrum(system.at(np.array([index])))
     s = found.rates[0]
     decays = inside(found.poles, found.dt)[0]
-    return tuple(_row(complex(p), complex(r), bool(slow), bool(d)) for p, r, slow, d in zip(found.poles[0], s, found.slow[0], decays, strict=True))
+    return PoleTable(
+        _row(complex(p), complex(r), bool(slow), bool(d)) for p, r, slow, d in zip(found.poles[0], s, found.slow[0], decays, strict=True)
+    )
 
 
-def root_rows(roots: Complex, horizon: float) -> tuple[Pole, ...]:
+def root_rows(roots: Complex, horizon: float) -> PoleTable:
     """Roots [1/s] of a loop with dead time (k,) as rows of such a table, in their order; those that do not exist (-inf) are left out."""
     s = roots[np.isfinite(roots)]
     slow, decays = np.abs(s) < 1 / horizon, inside(s, 0.0)
-    return tuple(_row(complex(root), complex(root), bool(late), bool(d)) for root, late, d in zip(s, slow, decays, strict=True))
+    return PoleTable(_row(complex(root), complex(root), bool(late), bool(d)) for root, late, d in zip(s, slow, decays, strict=True))
 
 
 def _row(pole: complex, rate: complex, slow: bool, decays: bool) -> Pole:

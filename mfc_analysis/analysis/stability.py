@@ -11,10 +11,11 @@ from mfc_analysis.analysis.delay.verdict import delayed_verdicts
 from mfc_analysis.analysis.spectrum import Spectrum, spectrum
 from mfc_analysis.analysis.system import OpenSystem, without_idle
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
+from mfc_analysis.notebook import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class Stability:
+class Stability(Shown):
     """Stability verdict at m points over a horizon, dead time included.
 
     Roots with abs(s) < 1/horizon are slow. The others are judged by the sign of their real part.
@@ -30,6 +31,16 @@ class Stability:
     motion: tuple[Array, ...]  #: (m,) (nx, nx) what the slow part keeps moving over the second half of the horizon; 0 where nothing drifts
     walks: tuple[Array, ...]  #: (m,) arrays [rad/s] of the frequencies of the count with dead time, which resolve the roots near the axis
     horizon: float  #: [s]
+
+    def __str__(self) -> str:
+        m = len(self.stable)
+        drifting = f"; drifts at {int(self.drifts.sum())}" if self.drifts.any() else ""
+        loose = "" if self.held.all() else f"; nothing holds the loop at {int((~self.held).sum())}"
+        return (
+            f"stable at {int(self.stable.sum())} of {m} points over {self.horizon:g} s; slow roots {int(self.slow.max(initial=0))}{drifting}{loose}"
+        )
+
+    __repr__ = __str__
 
     @property
     def neutral(self) -> Ints:

@@ -28,6 +28,7 @@ from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.checks import number, times as checked_times
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from control import TimeResponseData
@@ -49,7 +50,7 @@ class Outcome(enum.Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Step(Shown):
     """Response of one output to a unit step of one input. NaN: not defined (it does not settle, or it settles at zero)."""
 
     t: Array  #: (k,) [s]

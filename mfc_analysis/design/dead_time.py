@@ -16,18 +16,26 @@ from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from mfc_analysis.plots.figure import Axes
 
 
 @dataclass(frozen=True, eq=False)
-class DelayMap:
+class DelayMap(Shown):
     """Growth of a loop over dead time and a second quantity."""
 
     delays: Array  #: (d,) [s]
     values: Array  #: (g,) of the second quantity
     growth: Array  #: (g, d) [1/s] largest real part of the roots that are not slow; negative: stable
+
+    def __str__(self) -> str:
+        T, v = self.delays, self.values
+        size = f"{T.size} dead times from {T.min():.4g} to {T.max():.4g} s x {v.size} values from {v.min():.4g} to {v.max():.4g}"
+        return f"stability map of {size}: stable at {int(self.stable.sum())} of {self.growth.size} points"
+
+    __repr__ = __str__
 
     @property
     def stable(self) -> Bools:

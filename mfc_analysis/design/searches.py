@@ -17,6 +17,7 @@ import numpy as np
 from mfc_analysis.design.ahead import Ahead
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
@@ -49,7 +50,7 @@ class Bracket:
     evaluations: int
 
 
-class Limit(float):
+class Limit(Shown, float):
     """A limit found by a search: a float with the limiting condition and the loop at the limit.
 
     ``loop`` is the closed loop at the last value at which the condition holds; it can be linearised, simulated or checked.

@@ -23,6 +23,7 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools, Complex
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
@@ -33,11 +34,18 @@ _APART = (1e3, 2e3)  #: [N/m] the two stiffnesses that are linearised: of a typi
 
 
 @dataclass(frozen=True, eq=False)
-class StiffnessSweep:
+class StiffnessSweep(Shown):
     """One loop at k stiffnesses; nothing else changes."""
 
     stiffness: Array  #: (k,) [N/m, Nm/rad]
     opened: OpenSystem  #: the loop with every wire cut; its m points are the stiffnesses
+
+    def __str__(self) -> str:
+        k, lost = self.stiffness, self.stiffness[~self.stable]
+        first = f", not at {lost[0]:.4g} N/m first" if lost.size else ""
+        return f"{len(k)} stiffnesses from {k.min():.4g} to {k.max():.4g} N/m: stable at {int(self.stable.sum())}{first}"
+
+    __repr__ = __str__
 
     @cached_property
     def poles(self) -> Complex:
@@ -117,12 +125,19 @@ def at_stiffness(loop: ClosedLoop, stiffness: float, time: float = 0.0) -> Close
 
 
 @dataclass(frozen=True, eq=False)
-class StabilityMap:
+class StabilityMap(Shown):
     """Growth of a loop over stiffness and a second quantity."""
 
     stiffness: Array  #: (k,) [N/m]
     values: Array  #: (g,) of the second quantity
     growth: Array  #: (g, k) [1/s] largest real part of the roots that are not slow; negative: stable; NaN: every root is slow, not stable
+
+    def __str__(self) -> str:
+        k, v = self.stiffness, self.values
+        size = f"{k.size} stiffnesses from {k.min():.4g} to {k.max():.4g} N/m x {v.size} values from {v.min():.4g} to {v.max():.4g}"
+        return f"stability map of {size}: stable at {int(self.stable.sum())} of {self.growth.size} points"
+
+    __repr__ = __str__
 
     @property
     def stable(self) -> Bools:

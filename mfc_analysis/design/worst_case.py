@@ -18,6 +18,7 @@ from mfc_analysis.errors import BadArgument, MfcError, UnknownName
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.notebook import Shown
 from mfc_analysis.requirements.evidence import METRICS, Evidence
 from mfc_analysis.requirements.replay import replay
 from mfc_analysis.requirements.requirements import KINDS, Requirements
@@ -31,7 +32,7 @@ WIDE = 100.0  #: ratio of the ends of a range from which it is spaced logarithmi
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCase:
+class WorstCase(Shown):
     """The worst case found, convertible to float. ``value`` is NaN where the loop is not stable."""
 
     metric: str  #: metric that is minimised (maximised, for metrics with an upper limit)

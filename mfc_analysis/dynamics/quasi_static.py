@@ -15,12 +15,13 @@ from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Complex
 from mfc_analysis.maths.dual import Dual, Vector, value
+from mfc_analysis.notebook import Shown
 
 LOWEST, HIGHEST = 1e-12, 1e12  #: [rad/s] at which 9.20 is compared with 9.19
 
 
 @dataclass(frozen=True, eq=False)
-class QuasiStatic:
+class QuasiStatic(Shown):
     """The quasi-static model of a force loop."""
 
     force: Array  #: (6,) F_tip, tool frame [N, Nm]
@@ -28,6 +29,11 @@ class QuasiStatic:
     q: Array  #: (n,) joint position at rest
     equations: Equations = field(repr=False)
     x: Array | None = field(repr=False)  #: (1, nx) the equilibrium; None without an environment
+
+    def __str__(self) -> str:
+        return f"quasi-static: force {_row(self.force)}, error {_row(self.error)} [N, Nm], at q = {_row(self.q)}"
+
+    __repr__ = __str__
 
     def departure(self, frequencies: ArrayLike) -> Array:
         """(nf,) deviation of 9.20 from 9.19 at w [rad/s]: largest singular value of T_dynamic - T_static, both from F_d to F_tip.
@@ -51,6 +57,10 @@ class QuasiStatic:
             dynamic = C @ np.linalg.solve(1j * wi * np.eye(len(A)) - A, B) + D
             out[i] = np.linalg.norm(dynamic - static(1j * wi), 2)
         return out
+
+
+def _row(x: Array) -> str:
+    return "(" + ", ".join(f"{v:.4g}" for v in x) + ")"
 
 
 def _massless(e: Equations, A: Array, B: Array, C: Array, D: Array) -> Callable[[complex], Complex]:

@@ -12,6 +12,7 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws import constraints
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from mfc_analysis.linearization.linearization import Linearization
@@ -41,13 +42,20 @@ def leak(rows: ArrayLike | constraints.ConstraintSet, Lambda: ArrayLike, project
 
 
 @dataclass(frozen=True, eq=False)
-class Coupling:
+class Coupling(Shown):
     """Transfer gain between two groups of signals of a closed loop over frequency, dead time left out."""
 
     frequencies: Array  #: (nf,) [rad/s]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     gain: Array  #: (m, nf) largest singular value, in units of outputs per input
+
+    def __str__(self) -> str:
+        gain, w = self.peak()
+        between = f"{', '.join(self.inputs)} -> {', '.join(self.outputs)}"
+        return f"coupling {between}: largest gain {gain:.4g} at {w:.4g} rad/s, of {len(self.gain)} times and {self.frequencies.size} frequencies"
+
+    __repr__ = __str__
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """The gain over frequency, a line for each of the m times. ``ax``: to draw in; None: a new figure of pyplot."""

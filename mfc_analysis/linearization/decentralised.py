@@ -14,13 +14,14 @@ from mfc_analysis.dynamics.operating_point import OperatingPoint
 from mfc_analysis.errors import Unsupported
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 from mfc_analysis.maths.dual import Dual
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
 
 
 @dataclass(frozen=True, eq=False)
-class Decentralised:
+class Decentralised(Shown):
     """n separate loops at m times, k states each: M_jj q'' + b_j q' + (dg/dq)_jj q = tau under the diagonal of the law."""
 
     times: Array  #: (m,) [s]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.analysis.spectrum import Pole, pole_table, poles, root_rows
+from mfc_analysis.analysis.spectrum import PoleTable, pole_table, poles, root_rows
 from mfc_analysis.analysis.stability import Stability, stability
 from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, close_wires
 from mfc_analysis.dynamics.equations import Equations
@@ -214,11 +214,11 @@ class Linearization:
         """(m,) True where the slow part keeps moving within the horizon: a position slides, a velocity ramps."""
         return self.stability.drifts
 
-    def pole_table(self, index: int = 0) -> tuple[Pole, ...]:
+    def pole_table(self, index: int = 0) -> PoleTable:
         """Poles at one time with natural frequency, damping ratio and time constant, slowest first; dead time left out: see ``root_table``."""
         return pole_table(self.reduced, self._index(index))
 
-    def root_table(self, index: int = 0, count: int = 6) -> tuple[Pole, ...]:
+    def root_table(self, index: int = 0, count: int = 6) -> PoleTable:
         """The ``count`` rightmost characteristic roots at one time, exact with dead time, as ``pole_table``; rightmost first. See ``delay_roots``."""
         i = self._index(index)
         return root_rows(self.again(self.times[i : i + 1]).delay_roots(count)[0], self.horizon)

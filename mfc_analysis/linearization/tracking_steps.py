@@ -16,6 +16,7 @@ from mfc_analysis.analysis.steps import pair_metrics
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.laws.law import TWIST, WRENCH
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.notebook import Shown
 
 if TYPE_CHECKING:
     from mfc_analysis.linearization.linearization import Linearization
@@ -25,13 +26,22 @@ RESISTED = 0.05  #: fraction of the stiffest axis above which an axis counts as 
 
 
 @dataclass(frozen=True, eq=False)
-class StepMetrics:
+class StepMetrics(Shown):
     """Metrics of linear unit steps, m times and k channels. NaN: the coordinate does not reach a steady value."""
 
     times: Array  #: (m,) [s]
     channels: tuple[str, ...]  #: (k,)
     settling: Array  #: (m, k) [s] to 2 %; inf where a slow root integrates the step
     overshoot: Array  #: (m, k) fraction of the final value
+
+    def __str__(self) -> str:
+        rows = [f"steps of {len(self.channels)} channels at {len(self.times)} times"]
+        for k, name in enumerate(self.channels):
+            settling, over = (float(np.max(x[:, k], initial=-np.inf, where=~np.isnan(x[:, k]))) for x in (self.settling, self.overshoot))
+            rows.append(f"  {name}: longest settling {settling:.4g} s, largest overshoot {100 * over:.4g} %")
+        return "\n".join(rows)
+
+    __repr__ = __str__
 
 
 def step_metrics(lin: Linearization, step: SettlingStep = "reference", at: str | None = None) -> StepMetrics:

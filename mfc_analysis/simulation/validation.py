@@ -18,6 +18,7 @@ from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.errors import MfcError, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.notebook import Shown
 from mfc_analysis.simulation.directions import LARGEST, MISFIT, Candidate, candidates, scaled_basis
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
@@ -41,7 +42,7 @@ Pair = tuple[Array, Array]  #: (N, n) joint deviations of the nonlinear run and 
 
 
 @dataclass(frozen=True, eq=False)
-class Validation:
+class Validation(Shown):
     """Accuracy of the linear model's prediction of the nonlinear loop from a disturbed start."""
 
     time: float  #: [s] length of the runs
