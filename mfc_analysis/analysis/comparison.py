@@ -164,6 +164,18 @@ class Comparison:
 
     # --- shown ---------------------------------------------------------------------------------------------------------
 
+    def numbers(self) -> dict[str, dict[str, float]]:
+        """Each margin, by its name in ``Margins``: measured and of the model; NaN where it is not known."""
+        try:
+            found = self.margins
+        except BadArgument:
+            found = None
+        nan = float("nan")
+        return {
+            key: {"measured": nan if found is None else float(getattr(found, key)[0, 0]), "model": float(getattr(self.model_margins, key)[0, 0])}
+            for _, _, _, key in MARGINS
+        }
+
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Each margin: its name, measured, of the model, and the measured one less the model's."""
         try:

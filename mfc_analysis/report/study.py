@@ -143,7 +143,7 @@ def measured_section(name: str, found: FrequencyResponse, over: Comparison, *, m
         Table("Margins of both. Those of the measured loop are read from the trusted data, and from nothing beyond them.", columns, tuple(rows)),
     )
     title = f"{name}: measured and model" if many else "Measured and model"
-    numbers = {"at": over.at, "channel": over.channel, "verdict": over.verdict, "margins": {a: {"measured": b, "model": c} for a, b, c, _ in rows}}
+    numbers = {"at": over.at, "channel": over.channel, "verdict": over.verdict, "margins": over.numbers()}
     return Section(title, said, body, numbers=numbers)
 
 

@@ -107,7 +107,8 @@ def checked_urdf(text: str) -> Urdf:
         raise BadRobot(f"the URDF is not XML: {why}") from why
     namespace, brace, local = root.tag.rpartition("}")
     if local != "robot":
-        raise BadRobot(f"not a URDF: its root element is <{local}>, not <robot>")
+        hint = "; Robot.from_mjcf reads it, and so does mjcf = in a study" if local == "mujoco" else ""
+        raise BadRobot(f"not a URDF: its root element is <{local}>, not <robot>{hint}")
     for element in root.iter():
         element.tag = element.tag.removeprefix(namespace + brace)
     if any("xacro" in element.tag for element in root.iter()):

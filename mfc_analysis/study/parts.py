@@ -81,8 +81,8 @@ class Parts:
         changes = {} if given is None else given.given()
         if not changes:
             return self.robot
-        if {"name", "load", "urdf"} & set(changes):
-            changes = {"name": None, "load": None, "urdf": None, "parameters": {}} | changes
+        if {"name", "load", "urdf", "mjcf"} & set(changes):
+            changes = {"name": None, "load": None, "urdf": None, "mjcf": None, "parameters": {}} | changes
         with self.within("controller_model"):
             return self._body(self.table.robot.model_copy(update=changes))
 
@@ -102,6 +102,13 @@ class Parts:
         options: dict[str, Any] = {key: value for key in ("tool", "locked", "joints", "gravity") if (value := getattr(table, key)) is not None}
         if table.urdf is not None:
             return Robot.from_urdf(self.folder / table.urdf, **options)
+        if table.mjcf is not None:
+            try:
+                return Robot.from_mjcf(self.folder / table.mjcf, **options)
+            except BadArgument as why:
+                if why.argument != "source":
+                    raise
+                raise BadArgument("mjcf", why.got, why.takes) from why
         name = table.name if table.name is not None else str(table.load)
         if table.load is None and name in EMBEDDED:
             build = EMBEDDED[name]
@@ -289,7 +296,8 @@ class Parts:
 
     def files(self) -> tuple[Path, ...]:
         """The files that the tables name."""
-        named = [self.table.robot.urdf, self.table.controller_model and self.table.controller_model.urdf, getattr(self.table.reference, "file", None)]
+        bodies = [body for body in (self.table.robot, self.table.controller_model) if body is not None]
+        named = [*(body.urdf for body in bodies), *(body.mjcf for body in bodies), getattr(self.table.reference, "file", None)]
         named += [one.file for one in self.table.measured]
         return tuple(self.folder / name for name in named if name)
 

@@ -73,6 +73,7 @@ class BodyTable(Table):
     name: str | None = None  #: an embedded robot, or one of ``mfc-analysis robots``
     load: str | None = None  #: an arm of example-robot-data
     urdf: str | None = None  #: a file, relative to the study
+    mjcf: str | None = None  #: as urdf, of MuJoCo
     parameters: dict[str, Values] = Field(default_factory=dict)  #: of an embedded robot, such as inertia and mass of single_joint
     tool: str | None = None
     locked: Locked | None = None
@@ -89,8 +90,8 @@ class RobotTable(BodyTable):
 
     @model_validator(mode="after")
     def _one_source(self) -> RobotTable:
-        if sum(source is not None for source in (self.name, self.load, self.urdf)) != 1:
-            raise takes("exactly one of name, load and urdf")
+        if sum(source is not None for source in (self.name, self.load, self.urdf, self.mjcf)) != 1:
+            raise takes("exactly one of name, load, urdf and mjcf")
         if self.parameters and self.name not in EMBEDDED:
             raise takes(f"parameters only with the name of an embedded robot ({', '.join(EMBEDDED)})")
         return self
@@ -394,4 +395,4 @@ class StudyTable(LoopTable):
 
 
 #: keys that define a table: a ``[[loop]]`` with one of them replaces the table; otherwise it changes some of its keys
-DECIDING: dict[str, Sequence[str]] = {"robot": ("name", "load", "urdf"), "law": ("equation", "name"), "reference": ("kind",)}
+DECIDING: dict[str, Sequence[str]] = {"robot": ("name", "load", "urdf", "mjcf"), "law": ("equation", "name"), "reference": ("kind",)}

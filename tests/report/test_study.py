@@ -98,7 +98,7 @@ def test_a_measured_loop_has_a_section_with_its_verdict_and_the_margins_of_both(
     _, figure, table = section.body
     assert isinstance(figure, Figure) and isinstance(table, Table)
     assert "optimistic" in str(section.finding) and section.numbers["verdict"] in str(section.finding).replace("The model", "the model")
-    assert table.rows[0][0] == "phase margin" and section.numbers["margins"]["phase margin"]["model"] == "90 deg"
+    assert table.rows[0][0] == "phase margin" and section.numbers["margins"]["phase_deg"]["model"] == pytest.approx(90.0)
     assert "r (no bias by feedback)" in str(section.body[0]) and len(figure.draw()) == 3
 
 

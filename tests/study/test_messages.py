@@ -27,7 +27,7 @@ WRONG = {
     "a list for a kind": ('"Quintic"', "[1]", "reference.kind", "takes one of 'Hold'"),
     "a number for a name": ('name = "ur5"', "name = 5", "robot.name", "takes a text"),
     "two units": ("[robot]", f"q_start_deg = {Q}\n[robot]", "", "not both"),
-    "two sources": ('name = "ur5"', 'name = "ur5"\nload = "panda"', "robot", "exactly one of name, load and urdf"),
+    "two sources": ('name = "ur5"', 'name = "ur5"\nload = "panda"', "robot", "exactly one of name, load, urdf and mjcf"),
     "one time": ("count = 5", "count = 1", "times.count", "greater than or equal to 2"),
     "a range of words": ("[times]", "[ranges]\npayload = ['a']\n[times]", "ranges.payload", "a list of finite numbers"),
     "a section that is not one": ("[times]", "[report]\nsections = ['poels']\n[times]", "report.sections[0]", "'poles'"),

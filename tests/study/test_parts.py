@@ -316,3 +316,17 @@ def test_gains_that_do_not_go_together_are_named_under_their_loop(law, key):
         with pytest.raises(StudyError) as why:
             _ = parts(prefix=prefix, law=law).law
         assert why.value.key == ".".join(part for part in (prefix, key) if part)
+
+
+def test_a_robot_of_an_mjcf_file_is_found_beside_the_study(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco model="own"><worldbody><body name="b"><joint name="j" axis="0 1 0" damping="0.3"/><geom size=".1" mass="2" pos=".2 0 0"/></body>'
+        "</worldbody></mujoco>"
+    )
+    text = 'q_start = [0.3]\n[robot]\nmjcf = "arm.xml"\n[law]\nequation = "9.8"\nkp = 40\nkd = 5\n[reference]\nkind = "Hold"\n'
+    found = study(tmp_path, text)
+    robot = found.loops[0].loop.robot
+    assert robot.name == "own" and robot.total_mass == pytest.approx(2.0) and robot.viscous == pytest.approx([0.3])
+    assert tmp_path / "arm.xml" in found.files()
+    why = refused(tmp_path, text.replace("arm.xml", "none.xml"))
+    assert why.key == "robot.mjcf" and "MJCF" in str(why)
