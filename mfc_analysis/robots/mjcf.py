@@ -106,7 +106,7 @@ def _check_compiler(root: Element) -> bool:
     from_geoms = False
     for compiler in root.findall("compiler"):
         for attribute, harmless in _OTHERWISE.items():
-            if " ".join(compiler.get(attribute, harmless[0]).split()) not in harmless:
+            if " ".join((compiler.get(attribute) or harmless[0]).split()) not in harmless:
                 raise BadRobot(
                     f"the MJCF's compiler has {attribute}={compiler.get(attribute)!r}, which Pinocchio does not read: write the inertias out, for "
                     "example with mj_saveLastXML"

@@ -276,9 +276,10 @@ def _inner(tree: Any, keys: Sequence[str]) -> Any:
     for key in keys:
         if tree.get(key) is None:
             tree[key] = type(tree)()
+        inner = tree[key]
+        if not isinstance(inner, Mapping):
+            raise BadArgument(key, inner, "a mapping in the parameter file")
         tree = tree[key]
-        if not isinstance(tree, Mapping):
-            raise BadArgument(key, tree, "a mapping in the parameter file")
     return tree
 
 
