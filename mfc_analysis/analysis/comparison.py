@@ -134,7 +134,7 @@ class Comparison:
             for a, b in _runs(sign):
                 worse = np.median(np.abs(1 + L[a:b]) / np.abs(1 + M[a:b])) < 1
                 low, high = np.percentile(np.abs(middle[a:b]), [10, 90])
-                size = f"{(low + high) / 2:.2g} {unit}" if high < 1.5 * low else f"{low:.2g} to {high:.2g} {unit}"
+                size = f"{_short((low + high) / 2)} {unit}" if high < 1.5 * low else f"{_short(low)} to {_short(high)} {unit}"
                 where = _band(w[a], w[b - 1], a == 0, b == w.size)
                 what = f"its {'phase' if unit == 'deg' else 'gain'} is too {'low' if sign[a] > 0 else 'high'}"
                 found.append((float(high / least), f"the model is {'optimistic' if worse else 'pessimistic'} by {size} {where} ({what})"))
@@ -149,11 +149,11 @@ class Comparison:
         if not self.findings:
             gain, phase = (np.abs(_median(w, x[self.near])).max() for x in (self.gain_db, self.phase_deg))
             band = _band(w[0], w[-1], False, False)
-            return f"the model agrees with the data, within {max(gain, 0.05):.2g} dB and {max(phase, 0.5):.2g} deg {band}"
+            return f"the model agrees with the data, within {_short(max(gain, 0.05))} dB and {_short(max(phase, 0.5))} deg {band}"
         said = "; ".join(self.findings[:3])
         late = self.missing_delay
         if "deg" in said and np.isfinite(late):
-            said += f"; {abs(1e3 * late):.2g} ms of dead time {'missing' if late > 0 else 'too much'} in the model would explain the phase"
+            said += f"; {_short(abs(1e3 * late))} ms of dead time {'missing' if late > 0 else 'too much'} in the model would explain the phase"
         return said
 
     def _averaged_deviation(self) -> Array:
@@ -188,7 +188,7 @@ class Comparison:
         out = []
         for name, unit, scale, key in MARGINS:
             a, b = (scale * float(getattr(m, key)[0, 0]) for m in (found, self.model_margins))
-            off = f"{a - b:+.2g} {unit}" if np.isfinite(a) and np.isfinite(b) else ""
+            off = f"{a - b:+.3g} {unit}" if np.isfinite(a) and np.isfinite(b) else ""
             out.append((name, f"{a:.4g} {unit}" if np.isfinite(a) else "not in the data", f"{b:.4g} {unit}" if np.isfinite(b) else "unlimited", off))
         return [(a, *(x.rstrip() for x in cells)) for a, *cells in out]  # type: ignore[misc]  # four of them
 
@@ -243,8 +243,13 @@ def _runs(sign: Array) -> list[tuple[int, int]]:
     return [(a, b) for a, b in pairwise(edges) if sign[a] and b - a >= FEWEST]
 
 
+def _short(value: float) -> str:
+    """A positive number with two digits, whole from 100 on."""
+    return f"{value:.0f}" if value >= 99.5 else f"{value:.2g}"
+
+
 def _band(low: float, high: float, from_first: bool, to_last: bool) -> str:
-    a, b = (f"{w / 2 / np.pi:.2g}" for w in (low, high))
+    a, b = (_short(w / 2 / np.pi) for w in (low, high))
     if from_first and to_last:
         return f"from {a} to {b} Hz"
     return f"below {b} Hz" if from_first else f"above {a} Hz" if to_last else f"between {a} and {b} Hz"

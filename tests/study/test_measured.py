@@ -91,7 +91,7 @@ def test_a_study_compares_the_integrator_with_its_record(tmp_path: Path) -> None
 def test_samples_of_dead_time_that_the_study_lacks_are_found(tmp_path: Path) -> None:
     run(tmp_path, late=50)
     ((_, over),) = compared(study(tmp_path, TEXT).loops[0])
-    assert over.missing_delay == pytest.approx(50.5 * DT, rel=0.01) and "optimistic" in over.verdict
+    assert over.missing_delay == pytest.approx(50.5 * DT, rel=0.01) and "101 ms of dead time missing" in over.verdict
 
 
 def test_the_defaults_are_those_of_the_estimate(tmp_path: Path) -> None:
