@@ -68,6 +68,7 @@ def checked_mjcf(source: object) -> Mjcf:
     top = _robot(root)
     for body in top.iter("body"):
         _check_body(body, root, from_geoms)
+    _limit_torques(top, root)
     bare = Element("mujoco", {"model": root.get("model") or "robot"})
     bare.extend([element for element in root if element.tag in _KEPT[:2]])
     _strip_meshes(bare)
@@ -184,6 +185,43 @@ def _check_body(body: Element, root: Element, from_geoms: bool) -> None:
             raise BadRobot(f"body {name!r} has a geom with shellinertia, which Pinocchio does not read: give the body an <inertial>")
         if "mesh" in both or both.get("type", "sphere") not in _SOLID:
             raise BadRobot(f"body {name!r} has no <inertial> and a geom of type {both.get('type', 'mesh')}, whose mass is not read: give it one")
+
+
+def _limit_torques(top: Element, root: Element) -> None:
+    """Gives each joint without ``actuatorfrcrange`` the largest torque of its actuators: forcerange (a motor: ctrlrange) times gear."""
+    if any(joint.get("actuatorfrcrange") for default in root.findall("default") for joint in default.iter("joint")):
+        return
+    joints = {joint.get("name"): joint for joint in top.iter("joint")}
+    total: dict[str, float] = {}
+    for actuator in (child for element in root.findall("actuator") for child in element):
+        given = {**_defaults(root, actuator.tag, actuator.get("class", "main")), **actuator.attrib}
+        name = given.get("joint", "")
+        text = given.get("forcerange") or (given.get("ctrlrange") if actuator.tag == "motor" else None)
+        numbers = [checks.decimal(word) for word in f"{text or ''} {given.get('gear', '1').split()[0]}".split()]
+        known = [value for value in numbers if value is not None]
+        if len(known) != 3 or len(numbers) != 3:
+            total[name] = float("inf")  # an actuator without a limit
+        else:
+            total[name] = total.get(name, 0.0) + max(abs(known[0]), abs(known[1])) * abs(known[2])
+    for name, torque in total.items():
+        if name in joints and 0 < torque < float("inf") and joints[name].get("actuatorfrcrange") is None:
+            joints[name].set("actuatorfrcrange", f"{-torque!r} {torque!r}")
+
+
+def _defaults(root: Element, tag: str, name: str) -> dict[str, str]:
+    """What the default class ``name`` says of an element, with what it inherits."""
+
+    def within(default: Element, above: dict[str, str], outermost: bool) -> dict[str, str] | None:
+        own = dict(above)
+        for given in default.findall(tag):
+            own |= given.attrib
+        if default.get("class", "main" if outermost else "") == name:
+            return own
+        found = (within(inner, own, False) for inner in default.findall("default"))
+        return next((one for one in found if one is not None), None)
+
+    every = (within(default, {}, True) for default in root.findall("default"))
+    return next((one for one in every if one is not None), {})
 
 
 def _strip_meshes(bare: Element) -> None:

@@ -109,7 +109,8 @@ class Robot:
         """A robot from an MJCF (MuJoCo XML): a path or the XML text. Meshes are never opened: a body whose mass is that of a mesh is refused.
 
         Arguments as :meth:`from_urdf`; a tool may be a site as well. ``friction="mjcf"``: joint damping is the viscous friction of the plant;
-        frictionloss is not read. Joint armature is read, and torque limits are those of ``actuatorfrcrange``. ``gravity=None``: that of the file.
+        frictionloss is not read. Joint armature is read. Torque limits are those of ``actuatorfrcrange``, else the forcerange (of a motor the
+        ctrlrange) of the joint's actuators times their gear. ``gravity=None``: that of the file.
 
         Warns (``MfcWarning``) of springs, tendons, equality constraints and gravity compensation, which are not read. Raises ``BadRobot`` (not
         XML, no mass, several robots, joints with several degrees of freedom, what Pinocchio reads otherwise than MuJoCo), ``UnknownName``,

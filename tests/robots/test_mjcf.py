@@ -216,3 +216,26 @@ def test_arguments_are_checked_as_those_of_a_urdf(tmp_path: Path) -> None:
         Robot.from_mjcf(arm(), locked=["no"])
     with pytest.raises(BadArgument, match="friction"):
         Robot.from_mjcf(arm(), friction="urdf")  # type: ignore[arg-type]
+
+
+ACTUATED = """<mujoco><default><position kp="10"/><default class="big"><position forcerange="-150 150"/>
+<default class="bigger"><position kp="20"/></default>
+</default><default class="small"><position forcerange="-28 20"/></default></default><worldbody>{bodies}</worldbody><actuator>
+<position class="bigger" joint="j0"/><position class="small" joint="j1" gear="2"/><motor joint="j2" ctrlrange="-1 1" gear="-50"/><motor joint="j3"/>
+<position class="big" joint="j4" forcerange="-7 7"/><position class="big" joint="j5"/></actuator></mujoco>"""
+
+
+@with_mujoco
+def test_torque_limits_are_those_of_the_actuators() -> None:
+    bodies = ""
+    for k in reversed(range(6)):
+        own = 'actuatorfrcrange="-3 3"' if k == 5 else ""
+        bodies = (
+            f'<body name="b{k}" pos="0 0 .2"><joint name="j{k}" axis="{k % 2} 1 0" {own}/><geom size=".05" mass="1" pos=".1 0 0"/>{bodies}</body>'
+        )
+    text = ACTUATED.format(bodies=bodies)
+    found = Robot.from_mjcf(text).limits.torque
+    assert_allclose(found, [150, 56, 50, np.inf, 7, 3])
+    _, model, _ = in_mujoco(text)
+    of_force = np.abs(model.actuator_forcerange).max(axis=1) * np.abs(model.actuator_gear[:, 0])
+    assert_allclose(found[[0, 1, 4]], of_force[[0, 1, 4]])
