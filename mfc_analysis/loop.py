@@ -39,7 +39,7 @@ class Equilibrium(Shown):
     """An equilibrium of the closed loop. ``notes`` tells how it was found where the loop is soft, and other rest points met."""
 
     q: Array  #: (n,)
-    error: Array  #: e (n,) [rad, m] for joint laws, X_e (6,) [m, rad] for tool laws
+    error: Array  #: e (n,) [rad, m] for joint laws, X_e (6,) [m, rad] for tool laws, (k,) with axes
     force: Array  #: (6,) F_tip, tool frame [N, Nm]
     torque: Array  #: (n,) commanded torque [Nm] (velocity [rad/s] for 9.1-9.5)
     x: Array  #: (nx,) the full state
@@ -181,8 +181,8 @@ class ClosedLoop:
             times: (m,) strictly increasing.
             about: "reference" (integral trimmed), "equilibrium" (near a Hold), "simulation" (along ``simulation``), or states of your
                 own (m, nx) in the order of ``state_names`` of coordinates "state", one row for each time.
-            coordinates: "state" (q, v, z, ...) or "error" (X_e, V_e, z, ...); None: "error" for tool laws where J is square and
-                well conditioned, else "state".
+            coordinates: "state" (q, v, z, ...) or "error" (X_e, V_e, z, ...); None: "error" for tool laws where J (with axes: S J) is square
+                and well conditioned, else "state".
             horizon: [s] of the verdict: roots with |s| < 1/horizon are slow and judged by what they do within it; inf: by their sign.
 
         Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
@@ -227,7 +227,8 @@ class ClosedLoop:
 
         Args:
             times: a duration [s], or an array of times that begins at the start time.
-            initial_error: e at the start, scalar or (n,) (tool laws: X_e (6,), or the joint error (n,)); used where ``q`` is not given.
+            initial_error: e at the start, scalar or (n,) (tool laws: X_e (6,), with axes (k,), or the joint error (n,));
+                used where ``q`` is not given.
             disturbance: torque at the joints [Nm] (velocity laws: velocity [rad/s]), constant or a function of time.
             q, v: (n,) start position and velocity. integral: 0, "trimmed" or the integral state. force_integral: likewise, scalar or (6,).
             actuator: (n,) state of the actuator lag; None: the torque commanded at the start.

@@ -7,7 +7,6 @@ origin; the moment of a rotation is power-conjugate to its coordinate.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -17,12 +16,12 @@ from numpy.typing import ArrayLike
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Bools
+from mfc_analysis.maths.axes import AXES, parse_axes
 from mfc_analysis.maths.dual import Dual, Vector, times, value
 from mfc_analysis.maths.se3 import Jlog3, Jlog3_slope, Pose, hat, log3, pose_matrix, rotation_vector
 from mfc_analysis.robots.primitives import Primitives
 
 STIFFEST = 1e15  #: [N/m, Nm/rad] largest stiffness of a search
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 #: one-sided surfaces: False: stick; True: push where they are penetrated; (6,) bool of each surface: push along the axes that are touched
 LoseContact = bool | Sequence[Bools]
@@ -87,17 +86,6 @@ class Environment:
     def with_stiffness(self, stiffness: ArrayLike) -> Environment:
         """The same surface with another stiffness [N/m, Nm/rad]."""
         return replace(self, stiffness=checks.array("stiffness", stiffness))
-
-
-def parse_axes(axes: str) -> tuple[int, ...]:
-    """'xyrz' -> (0, 1, 5), in the order given. Raises BadArgument."""
-    takes = "directions from x, y, z, rx, ry, rz, each at most once, like 'z', 'xyz' or 'xyrz'"
-    if not isinstance(axes, str) or not re.fullmatch(r"(r?[xyz])+", axes):
-        raise BadArgument("axes", axes, takes)
-    index = tuple(AXES.index(a) for a in re.findall(r"r?[xyz]", axes))
-    if len(set(index)) < len(index):
-        raise BadArgument("axes", axes, takes)
-    return index
 
 
 def _matrix(argument: str, given: ArrayLike, index: tuple[int, ...], full: bool) -> Array:

@@ -36,13 +36,14 @@ import numpy as np
 from mfc_analysis.dynamics.environment import Contact, Environment, LoseContact, contact
 from mfc_analysis.dynamics.hardware import Hardware, JointHardware
 from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
-from mfc_analysis.laws.law import TWIST, WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
+from mfc_analysis.laws.law import WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, concatenate, elementwise, times, value
 from mfc_analysis.maths.se3 import Pose, exp6
 from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.robots.robot import Robot
-from mfc_analysis.robots.singularity import WARN_CONDITION
+from mfc_analysis.robots.singularity import WARN_CONDITION, nearest_singular
+from mfc_analysis.robots.tool_task import selected_task, task_singular_values
 
 #: slots of the plant; the others belong to the controller
 PLANT_SLOTS = ("q", "v", "theta", "omega", "lag")
@@ -90,7 +91,7 @@ class Flow:
     """The loop at a state: its rates and signals. Plain (..., k) or dual."""
 
     rates: Mapping[str, Vector]  #: slot -> rate
-    error: Vector  #: e (..., n) or X_e (..., 6)
+    error: Vector  #: e (..., n) or X_e (..., 6), (..., k) of k selected directions
     command: Vector  #: commanded torque or velocity (..., n)
     F_tip: Vector  #: (..., 6)
     contact: Contact
@@ -414,7 +415,8 @@ def _shifted(X: Pose, shift: Vector | None) -> Pose:
 def warn_near_singular(equations: Equations, times: Array, q: Array) -> None:
     """Warns where a tool law that inverts J without damping is near a singularity: at times (m,) [s] and joint positions q (m, n)."""
     if equations.law.space == "tool" and not equations.law.damping:
-        found = equations.plant.at(q).nearest_singular
+        sigma = task_singular_values(equations.law.selection, equations.plant, q)
+        found = nearest_singular(equations.robot.tool, sigma)
         if found.condition > WARN_CONDITION:
             warnings.warn(str(found.at(float(times[found.index]))), MfcWarning, stacklevel=3)
 
@@ -444,10 +446,24 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
 
 
 def reference_channels(equations: Equations) -> tuple[str, ...]:
-    """Names of the reference's input channels: q_d of each joint, or X_d along the axes of the reference tool frame."""
-    if equations.law.space == "tool":
-        return tuple(f"X_d_{c}" for c in TWIST)
-    return tuple(f"q_d_{j}" for j in equations.robot.joint_names)
+    """Names of the reference's input channels: q_d of each joint, or X_d along the axes (selected directions) of the reference tool frame."""
+    return tuple(f"{'X' if equations.law.space == 'tool' else 'q'}_d_{c}" for c in equations.law.error_channels(equations.robot.joint_names))
+
+
+def reference_moves(equations: Equations, times: Array, x: Array) -> Array:
+    """(..., r, k) what a unit of each of the k reference channels adds to the reference: to q_d (r = n), or the body twist of X_d (r = 6).
+
+    A selection moves X_d so that the error seen from x (..., nx) moves along one direction at a time.
+    """
+    law = equations.law
+    if law.space == "joint":
+        return np.broadcast_to(np.eye(equations.n), (len(times), equations.n, equations.n))
+    if law.selection is None:
+        return np.broadcast_to(np.eye(6), (len(times), 6, 6))
+    ref = equations.reference(times)
+    assert isinstance(ref, ToolReference)
+    q = np.ascontiguousarray(x[:, equations.parts["q"].where])
+    return selected_task(law.selection, equations.plant, q, ref.X, ref.V, ref.dV).reference_twists()
 
 
 def solve_command_for_slots(jacobian: Array, gap: Array) -> Array:

@@ -14,12 +14,12 @@ import numpy as np
 
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.dynamics.environment import LoseContact
-from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, Wires, reference_channels
+from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, Wires, reference_channels, reference_moves
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
+from mfc_analysis.laws.law import WRENCH, ToolReference
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Seed, Vector, concatenate, value
-from mfc_analysis.maths.se3 import bracket, log_rate
+from mfc_analysis.robots.tool_task import tool_task
 
 Coordinates = Literal["state", "error"]
 
@@ -69,7 +69,7 @@ def closed_system(equations: Equations, times: Array, x: Array, coordinates: Coo
     nx = equations.nx
     width = nx + len(names.inputs)
     wires, seeded = Wires(), Seed(x, 0, width)
-    flow = equations.flow(times, seeded, wires, _inputs(equations, len(times), width))
+    flow = equations.flow(times, seeded, wires, _inputs(equations, times, x, width))
     outputs = _outputs(equations, seeded, flow, wires)
     C = _tangent(outputs, (len(times), len(names.outputs)), width)
     T = _finite(_tangent(equations.join(flow.rates), x.shape, width))
@@ -93,27 +93,38 @@ def external(equations: Equations, coordinates: Coordinates = "state") -> Extern
     inputs = [*reference_channels(equations), *(f"disturbance_{j}" for j in joints)]
     if equations.law.desired_wrench is not None:
         inputs += [f"F_d_{c}" for c in WRENCH]
-    error = [f"X_e_{c}" for c in TWIST] if tool else [f"e_{j}" for j in joints]
+    channels = equations.law.error_channels(joints)
+    error = [f"{'X_e' if tool else 'e'}_{c}" for c in channels]
     outputs = [*(f"q_{j}" for j in joints), *error, *(f"{'tau' if equations.actuator == 'torque' else 'u'}_{j}" for j in joints)]
     if equations.surfaces:
         outputs += [f"F_tip_{c}" for c in WRENCH]
     states = equations.state_names
     if coordinates == "error":
         if equations.actuator == "torque":
-            error += [f"V_e_{c}" for c in TWIST] if tool else [f"e_dot_{j}" for j in joints]
+            error += [f"{'V_e' if tool else 'e_dot'}_{c}" for c in channels]
         states = (*error, *states[len(error) :])
     return External(states, tuple(inputs), tuple(outputs))
 
 
-def _inputs(equations: Equations, m: int, width: int) -> Inputs:
+def _inputs(equations: Equations, times: Array, x: Array, width: int) -> Inputs:
     """The external inputs, each a direction after the states."""
-    n, nx, references = equations.n, equations.nx, len(reference_channels(equations))
+    m, n, nx, references = len(times), equations.n, equations.nx, len(reference_channels(equations))
     F_d = equations.law.desired_wrench
     return Inputs(
-        Seed(np.zeros((m, references)), nx, width),
+        _reference_shift(equations, times, x, width),
         Seed(np.zeros((m, n)), nx + references, width),
         None if F_d is None else Seed(np.broadcast_to(F_d, (m, 6)), nx + references + n, width),
     )
+
+
+def _reference_shift(equations: Equations, times: Array, x: Array, width: int) -> Dual:
+    """The inputs of the reference, by what each adds to it."""
+    m, nx, k = len(times), equations.nx, len(reference_channels(equations))
+    if equations.law.selection is None:
+        return Seed(np.zeros((m, k)), nx, width)
+    shift = np.zeros((m, 6, width))
+    shift[..., nx : nx + k] = reference_moves(equations, times, x)
+    return Dual(np.zeros((m, 6)), shift)
 
 
 def open_system(
@@ -141,7 +152,7 @@ def open_system(
         start += size
     wires = Wires(cut)
     seeded = Seed(x, 0, width)
-    flow = equations.flow(times, seeded, wires, _inputs(equations, m, width))
+    flow = equations.flow(times, seeded, wires, _inputs(equations, times, x, width))
     rows = [_tangent(_outputs(equations, seeded, flow, wires), (m, len(names.outputs)), width)]
     rows += [_tangent(wires.recorded[name], (m, size), width) for name, size in sizes.items()]
     T = _finite(_tangent(equations.join(flow.rates), (m, nx), width))
@@ -208,16 +219,14 @@ def _error_coordinates(equations: Equations, times: Array, x: Dual, rates: objec
             return _Change(concatenate([ref.q - q, ref.v - s["v"]]), concatenate([ref.v - rates["q"], ref.a - rates["v"]]), 2 * equations.n)
         return _Change(ref.q - q, ref.v - rates["q"], equations.n)
     plant = equations.plant
-    E = plant.pose(q).inverse() @ ref.X
-    X_e, V_d = E.log(), E.adjoint(ref.V)
+    task = tool_task(equations.law.selection, plant, q, ref.X, ref.V, ref.dV)
     V = plant.jacobian(q, rates["q"])
-    V_e = V_d - V
-    X_e_dot = log_rate(X_e, E.inverse().adjoint(V_e))
+    X_e_dot = task.error_rate(V)
     if not torque:
-        return _Change(X_e, X_e_dot, equations.n)
+        return _Change(task.error, X_e_dot, equations.n)
     V_dot = plant.jacobian(q, rates["v"]) + plant.jacobian_dot(q, s["v"])
-    V_e_dot = E.adjoint(ref.dV) - bracket(V, V_d) - V_dot
-    return _Change(concatenate([X_e, V_e]), concatenate([X_e_dot, V_e_dot]), 2 * equations.n)
+    V_e, V_e_dot = task.carried - task.through(V), task.feedforward(V) - task.through(V_dot)
+    return _Change(concatenate([task.error, V_e]), concatenate([X_e_dot, V_e_dot]), 2 * equations.n)
 
 
 def _changed(A: Array, change: _Change, nx: int) -> tuple[Array, Array]:

@@ -45,7 +45,8 @@ def nominal(equations: Equations, times: Array) -> Nominal:
         point = equations.reference_source(times)
         return Nominal(*(np.ascontiguousarray(x) for x in point))
     assert equations.q_start is not None
-    found = Nominal(*follow(equations.robot, equations.reference_source, equations.q_start, times, damping=equations.law.damping))
+    law = equations.law
+    found = Nominal(*follow(equations.robot, equations.reference_source, equations.q_start, times, law.damping, law.selection))
     limits = equations.robot.limits
     over = np.maximum(found.q - limits.upper, limits.lower - found.q)
     if np.any(over > 1e-9):

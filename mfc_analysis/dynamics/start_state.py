@@ -15,7 +15,7 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value
 from mfc_analysis.maths.se3 import exp6
-from mfc_analysis.trajectories.inverse_kinematics import follow
+from mfc_analysis.trajectories.inverse_kinematics import displaced, follow
 from mfc_analysis.trajectories.tool import ToolLine
 
 
@@ -86,18 +86,25 @@ def _displaced(equations: Equations, t: float, q_d: Array, initial_error: ArrayL
     tool = equations.law.space == "tool"
     if not np.any(error):
         return q_d
+    selection = equations.law.selection
     if tool and error.ndim == 0:
-        error = np.full(6, float(error))
-    if tool and error.shape == (6,) and not (np.abs(error).max() < 1e6 and np.linalg.norm(error[3:]) < np.pi - 1e-3):
+        error = np.full(6 if selection is None else len(selection.rows), float(error))
+    if selection is not None and error.shape == (len(selection.rows),):
+        ref = equations.reference(t)
+        assert isinstance(ref, ToolReference)
+        return displaced(equations.robot, ref.X.matrix, error, q_d, selection)
+    whole = tool and selection is None
+    if whole and error.shape == (6,) and not (np.abs(error).max() < 1e6 and np.linalg.norm(error[3:]) < np.pi - 1e-3):
         raise BadArgument("initial_error", initial_error, "X_e with a rotation of less than pi - 1e-3 rad")
-    if tool and error.shape == (6,):
+    if whole and error.shape == (6,):
         ref = equations.reference(t)
         assert isinstance(ref, ToolReference)
         X_d = ref.X.matrix
         line = ToolLine(X_d, X_d @ exp6(-error), 1.0)
         return np.array(follow(equations.robot, line, q_d, np.array([1.0]))[0][0])
     if error.ndim == 1 and error.shape != (n,):
-        raise BadArgument("initial_error", f"shape {error.shape}", f"a scalar or shape ({n},)" + (" or X_e of shape (6,)" if tool else ""))
+        size = len(equations.law.error_channels(equations.robot.joint_names))
+        raise BadArgument("initial_error", f"shape {error.shape}", f"a scalar or shape ({n},)" + (f" or X_e of shape ({size},)" if tool else ""))
     if error.ndim > 1:
         raise BadArgument("initial_error", f"shape {error.shape}", f"a scalar or shape ({n},)")
     return np.asarray(q_d - error)

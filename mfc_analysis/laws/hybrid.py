@@ -78,7 +78,8 @@ class HybridMotionForce(ToolLaw):
         """Raise BadArgument unless all gains have six components and the arm has six joints or more."""
         super().check(n)
         if n < 6:
-            raise BadArgument("law", f"HybridMotionForce on {n} joints", "an arm of six joints or more: Lambda needs a J of full rank")
+            takes = "an arm of six joints or more, as Lambda needs a J of full rank; with fewer, DampedForcePI (9.23) presses and"
+            raise BadArgument("law", f"HybridMotionForce on {n} joints", f"{takes} TaskComputedTorque(axes=) (9.16) moves the tool")
 
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
         """z and z_f, where ki and kfi are given."""
@@ -98,9 +99,9 @@ class HybridMotionForce(ToolLaw):
     def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:
         """tau = J^T (P Lambda^ c + (1 - P) f + eta^), with J^T eta = h - J^T Lambda J' v."""
         q, v = now.q, now.v
-        E = model.pose(q).inverse() @ ref.X
-        X_e, V = E.log(), model.jacobian(q, v)
-        c = tap("command", tool_acceleration(E, X_e, V, ref, self.kp, self.ki, self.kd, now["z"], printed=self.form == "printed"))
+        task, V = self.task(model, q, ref), model.jacobian(q, v)
+        X_e = task.error
+        c = tap("command", tool_acceleration(task, V, self.kp, self.ki, self.kd, now["z"], printed=self.form == "printed"))
         F_e = ref.F_d - now.F
         f = ref.F_d + self.kfp @ F_e + self.kfi @ now["z_f"] - self.kdamp @ V
         rates = ({"z": X_e} if self.ki else {}) | ({"z_f": F_e} if self.kfi else {})

@@ -18,18 +18,19 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar, dataclass_
 
 import numpy as np
 
-from mfc_analysis.errors import Unsupported
+from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.laws.gain import Gain
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.axes import TWIST as TWIST
 from mfc_analysis.maths.dual import Vector
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.primitives import Primitives
+from mfc_analysis.robots.tool_task import Selection, ToolTask, tool_task
 
 #: names a wire and returns the signal after it (the same signal, unless the wire is cut)
 Tap = Callable[[str, Vector], Vector]
 
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 AnyLaw = TypeVar("AnyLaw", bound="Law")
 
@@ -95,7 +96,7 @@ class Action(NamedTuple):
 
     command: Vector  #: torque or joint velocity (..., n)
     rates: Mapping[str, Vector]  #: slot -> rate
-    error: Vector  #: e (..., n) or X_e (..., 6)
+    error: Vector  #: e (..., n) or X_e (..., 6), (..., k) of k selected directions
 
 
 class Law(ABC):
@@ -115,6 +116,7 @@ class Law(ABC):
     typst: ClassVar[str] = ""  #: the equation, as Typst math
     units: ClassVar[Mapping[str, str]] = {}  #: gain -> unit
     damping: float = 0.0  #: [-] of the inverse of J, where the law has one; 0: raises NearSingular near a singularity
+    selection: Selection | None = None  #: the directions that a tool law controls; None: all six
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -131,16 +133,27 @@ class Law(ABC):
         """The states of the law, for an arm with these joints."""
         if not self.gains().get("ki"):
             return ()
-        return (Slot("z", joints if self.space == "joint" else TWIST),)
+        return (Slot("z", self.error_channels(joints)),)
+
+    def error_channels(self, joints: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of the components of the error: the joints, or the directions of the tool."""
+        if self.space == "joint":
+            return joints
+        return TWIST if self.selection is None else self.selection.names
 
     def command_channels(self, joints: tuple[str, ...]) -> tuple[str, ...]:
         """Names of the channels of the wire "command"."""
-        return joints if self.space == "joint" else TWIST
+        return self.error_channels(joints)
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless the gains fit an arm of n joints."""
+        """Raise BadArgument unless the gains fit an arm of n joints, and the arm has a joint for each selected direction."""
+        size, what = (n, "joints") if self.space == "joint" else (6, "components of the twist")
+        if self.selection is not None:
+            size, what = len(self.selection.rows), "selected directions"
+            if size > n:
+                raise BadArgument("axes", self.selection.axes, f"at most {n} directions, one for each joint")
         for gain in self.gains().values():
-            gain.check(n if self.space == "joint" else 6, "joints" if self.space == "joint" else "components of the twist")
+            gain.check(size, what)
 
     def gains(self) -> dict[str, Gain]:
         """The gains by name, in the order of the fields."""
@@ -190,6 +203,8 @@ class Law(ABC):
         gains = ", ".join(f"{k} = {g!r}" for k, g in self.gains().items() if g)
         choices = {f.name: getattr(self, f.name) for f in fields(self) if isinstance(f.default, str)}  # type: ignore[arg-type]  # as above
         usual = {f.name: f.default for f in fields(self)}  # type: ignore[arg-type]
+        if self.selection is not None:
+            choices["axes"] = self.selection.axes if isinstance(self.selection.axes, str) else self.selection.rows.tolist()
         shown = ", ".join([gains] * bool(gains) + [f"{name}={chosen!r}" for name, chosen in choices.items() if chosen != usual[name]])
         return f"{type(self).__name__}({shown}) [eq. {self.equation}]"
 
@@ -205,9 +220,23 @@ class JointLaw(Law):
 
 
 class ToolLaw(Law):
-    """A law in tool space: its reference is X_d, V_d, V_d' on SE(3)."""
+    """A law in tool space: its reference is X_d, V_d, V_d' on SE(3).
+
+    One with a field ``axes`` controls only those directions of the tool where it is given (``Selection``).
+    """
 
     space = "tool"
+
+    def select(self) -> None:
+        """Sets ``selection`` from the field ``axes``, for ``__post_init__``. Raises BadArgument."""
+        axes = vars(self)["axes"]
+        if axes is not None:
+            object.__setattr__(self, "selection", chosen := Selection(axes))
+            object.__setattr__(self, "axes", chosen.axes)
+
+    def task(self, model: Primitives, q: Vector, ref: ToolReference) -> ToolTask:
+        """The directions of this law at q: their error, its velocity, and the maps between them and the joints."""
+        return tool_task(self.selection, model, q, ref.X, ref.V, ref.dV)
 
     @abstractmethod
     def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:

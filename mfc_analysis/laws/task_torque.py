@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,24 +12,19 @@ from mfc_analysis.laws.joint_torque import check_mass, mass_matrix
 from mfc_analysis.laws.law import Action, Measured, Tap, ToolLaw, ToolReference, define
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import Vector, matvec
-from mfc_analysis.maths.se3 import Pose, bracket, log_rate
 from mfc_analysis.robots.primitives import Primitives
+from mfc_analysis.robots.tool_task import ToolTask
 
 
-def tool_acceleration(
-    E: Pose, X_e: Vector, V: Vector, ref: ToolReference, kp: Gain, ki: Gain, kd: Gain, z: Vector | None, *, printed: bool
-) -> Vector:
-    r"""The commanded tool acceleration inside 9.16 and 9.24, (..., 6) in the tool frame, E = X^-1 X_d.
+def tool_acceleration(task: ToolTask, V: Vector, kp: Gain, ki: Gain, kd: Gain, z: Vector | None, *, printed: bool) -> Vector:
+    r"""The commanded tool acceleration inside 9.16 and 9.24 at the twist V of the tool, (..., 6) in the tool frame, or its selected directions.
 
     Standard: d/dt([Ad_E] V_d) + Kp X_e + Ki z + Kd V_e with V_e = [Ad_E] V_d - V and
     d/dt([Ad_E] V_d) = [Ad_E] V_d' - ad(V) [Ad_E] V_d. Printed: V_d' and X_e' = d log6(E)/dt instead.
     """
-    V_d = E.adjoint(ref.V)
-    V_e = V_d - V
     if printed:
-        X_e_dot = log_rate(X_e, E.inverse().adjoint(V_e))
-        return ref.dV + kp @ X_e + ki @ z + kd @ X_e_dot
-    return E.adjoint(ref.dV) - bracket(V, V_d) + kp @ X_e + ki @ z + kd @ V_e
+        return task.selected(task.dV_d) + kp @ task.error + ki @ z + kd @ task.error_rate(V)
+    return task.feedforward(V) + kp @ task.error + ki @ z + kd @ (task.carried - task.through(V))
 
 
 @define
@@ -39,26 +34,31 @@ class TaskComputedTorque(ToolLaw):
     .. math:: \tau = J_b^T\,(\hat\Lambda(\tfrac{d}{dt}([Ad]V_d) + K_p X_e + K_i \int X_e + K_d V_e) + \hat\eta)
         + N^T(\hat h - c\,\hat M v), \quad N = 1 - \bar J J, \quad \bar J = \hat M^{-1} J^T \hat\Lambda
 
-    The last term is 0 for a square J. On a redundant arm it is what the page leaves open: the self-motion N v. Its bias is compensated, so that
+    The last term is 0 for a square J. On a redundant arm, and with ``axes`` on an arm of more joints than selected directions (J is then S J),
+    it is what the page leaves open: the self-motion N v. Its bias is compensated, so that
     all of h^ is, and it is damped by c = ``null_damping``. ``form="printed"``: V_d' and X_e' as printed; on a moving path they differ at first
     (X_e') and second order.
 
     Args:
-        kp: [1/s^2], ki: [1/s^3], kd: [1/s]; scalar, (6,) or (6, 6) on (linear, angular) in the tool frame.
+        kp: [1/s^2], ki: [1/s^3], kd: [1/s]; scalar, (6,) or (6, 6) on (linear, angular) in the tool frame; (k,) or (k, k) on k selected directions.
         mass: a constant (n, n) joint mass matrix [kg m^2] as M^ instead of M^(q).
         null_damping: c >= 0 [1/s] on joint motion that does not move the tool (redundant arms). With an exact model that motion
             decays as exp(-c t) at rest; 0: it has no damping and drifts.
         damping: [-] of the inverse of J; 0: raises NearSingular near a singularity. See ``inverse``.
-        inverse: how a redundant arm shares a tool acceleration among its joints; without effect on arms of up to six joints.
+        inverse: how a redundant arm shares a tool acceleration among its joints; without effect where it has a joint for each direction and no more.
             "dynamic": as above, with the least kinetic energy; J M^^-1 N^T = 0, so no null-space torque accelerates the tool.
             "euclidean": tau = M^ (J^# (command - J' v) - c (1 - J^# J) v) + h^ with the Moore-Penrose J^#, the least squares of joint accelerations
             (radians and metres alike).
+        axes: the directions of the tool that are controlled, None: all six. "xyz", "xyzrz", or orthonormal rows S (k, 6) that select components
+            of the twist V_b and of X_e, (linear, angular) in the tool frame; k is at most the number of joints. Rows without rotations control the
+            position alone, X_e = S R^T (p_d - p), whatever the orientation. Of fewer than six directions V_e is the rate of X_e.
 
     With ``damping`` the inverse of J is J^T (J J^T + damping^2)^-1; in the dynamic form of a redundant arm Lambda^ is
     (J M^^-1 J^T + damping^2 n / trace(M^))^-1, which is the same where M^ is a multiple of 1 and does not change if the arm is heavier by a factor.
     It weakens the command everywhere: by the factor s^2 / (s^2 + damping^2) along a direction of J with the singular value s.
 
-    Closed form: with an exact model and scalar gains, six times s^3 + kd s^2 + kp s + ki in error coordinates (X_e, V_e, z).
+    Closed form: with an exact model and scalar gains, six times s^3 + kd s^2 + kp s + ki in error coordinates (X_e, V_e, z); with ``axes``
+    k times, and of fewer than six directions X_e'' + Kd X_e' + Kp X_e + Ki z = 0 exactly, however large.
     """
 
     kp: Gain
@@ -69,6 +69,7 @@ class TaskComputedTorque(ToolLaw):
     null_damping: float = 0.0
     damping: float = 0.0
     inverse: Literal["dynamic", "euclidean"] = "dynamic"
+    axes: Any = None
     equation = "9.16"
     opens_at = ("torque", "command", "position")
     forms = ("standard", "printed")
@@ -82,24 +83,24 @@ class TaskComputedTorque(ToolLaw):
         checks.choice("inverse", self.inverse, ("dynamic", "euclidean"))
         if self.mass is not None:
             object.__setattr__(self, "mass", mass_matrix(self.mass))
+        self.select()
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless gains (6) and mass (n, n) fit."""
+        """Raise BadArgument unless gains (6, or one for each selected direction) and mass (n, n) fit."""
         super().check(n)
         check_mass(self.mass, n)
 
     def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:
         """tau = J^T Lambda^ (A - J' v + c V) + h^ - c M^ v, or M^ (J^# (A - J' v + c V) - c v) + h^; A the command, c the null-space damping."""
         q, v, mass = now.q, now.v, None if self.mass is None else np.asarray(self.mass)
-        E = model.pose(q).inverse() @ ref.X
-        X_e, V = E.log(), model.jacobian(q, v)
-        command = tap("command", tool_acceleration(E, X_e, V, ref, self.kp, self.ki, self.kd, now["z"], printed=self.form == "printed"))
-        wanted = command - model.jacobian_dot(q, v) + self.null_damping * V
+        task, V = self.task(model, q, ref), model.jacobian(q, v)
+        command = tap("command", tool_acceleration(task, V, self.kp, self.ki, self.kd, now["z"], printed=self.form == "printed"))
+        wanted = command - task.through(model.jacobian_dot(q, v)) + self.null_damping * task.through(V)
         a = -self.null_damping * v
-        if self.inverse == "dynamic" and model.n > 6:
-            pushed = model.jacobian_transpose(q, model.task_mass(q, wanted, self.damping, mass))
+        if self.inverse == "dynamic" and model.n > task.size:
+            pushed = task.torque(task.mass(wanted, self.damping, mass))
         else:
             pushed = np.zeros(model.n)
-            a = a + model.solve_jacobian(q, wanted, self.damping)
+            a = a + task.solve(wanted, self.damping)
         tau = model.inverse_dynamics(q, v, a) if mass is None else matvec(mass, a) + model.bias(q, v)
-        return Action(tau + pushed, {"z": X_e} if self.ki else {}, X_e)
+        return Action(tau + pushed, {"z": task.error} if self.ki else {}, task.error)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -114,19 +114,23 @@ class TaskVelocity(ToolLaw):
     Joint rates by the inverse (pseudo-inverse) of J_b. X_e = log6(X^-1 X_d).
 
     Args:
-        kp: [1/s], ki: [1/s^2]; scalar, (6,) or (6, 6), on (linear, angular) in the tool frame.
+        kp: [1/s], ki: [1/s^2]; scalar, (6,) or (6, 6), on (linear, angular) in the tool frame; (k,) or (k, k) on k selected directions.
         form: "standard"; "printed": X_e = X_d - X as the page writes it, taken in the tool frame: the (linear, angular) part
             of X^-1 (X_d - X), whose angular part is sin(angle) times the axis; "no_adjoint": V_d without [Ad] (a common mistake),
             which couples the error by -ad(V_d) X_e at first order.
         damping: [-] of the inverse of J; 0: raises NearSingular near a singularity.
+        axes: the directions of the tool that are controlled, None: all six. "xyz", "xyzrz", or orthonormal rows S (k, 6) that select components
+            of the twist V_b and of X_e, (linear, angular) in the tool frame; k is at most the number of joints. On an arm with more than k
+            joints, the joint rates are the smallest ones. Rows without rotations control the position alone, X_e = S R^T (p_d - p).
 
-    Closed form: for Kp = k I and no Ki, X_e' = -k X_e exactly, for any rotation below pi.
+    Closed form: for Kp = k I and no Ki, X_e' = -k X_e exactly, for any rotation below pi; of fewer than six directions for any Kp.
     """
 
     kp: Gain
     ki: Gain = Gain()
     form: Literal["standard", "printed", "no_adjoint"] = "standard"
     damping: float = 0.0
+    axes: Any = None
     equation = "9.5"
     plant = "velocity"
     opens_at = ("velocity", "command", "position")
@@ -137,14 +141,15 @@ class TaskVelocity(ToolLaw):
     def __post_init__(self) -> None:
         checks.choice("form", self.form, self.forms)
         checks.number("damping", self.damping, low=0.0)
+        self.select()
 
     def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:
         """q' = J^# (Ad V_d + Kp X_e + Ki z)."""
-        E = model.pose(now.q).inverse() @ ref.X
-        X_e = difference(E) if self.form == "printed" else E.log()
-        V_d = ref.V if self.form == "no_adjoint" else E.adjoint(ref.V)
+        task = self.task(model, now.q, ref)
+        X_e = task.selected(difference(task.E)) if self.form == "printed" else task.error
+        V_d = task.selected(ref.V) if self.form == "no_adjoint" else task.carried
         V = tap("command", V_d + self.kp @ X_e + self.ki @ now["z"])
-        return Action(model.solve_jacobian(now.q, V, self.damping), {"z": X_e} if self.ki else {}, X_e)
+        return Action(task.solve(V, self.damping), {"z": X_e} if self.ki else {}, X_e)
 
 
 def difference(E: Pose) -> Vector:

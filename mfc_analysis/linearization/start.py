@@ -15,6 +15,7 @@ from mfc_analysis.errors import BadArgument, MfcWarning, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION, nearest_singular
+from mfc_analysis.robots.tool_task import task_singular_values
 from mfc_analysis.simulation.simulation import Simulation
 
 About = Literal["reference", "equilibrium", "simulation"]
@@ -53,7 +54,8 @@ def _singular_values(equations: Equations, point: OperatingPoint) -> Array:
     if equations.law.space != "tool":
         return np.ones((len(point.times), 1))
     n, plant = equations.n, equations.plant
-    sigma = np.concatenate([plant.at(np.ascontiguousarray(some.x[:, :n])).sigma for some in chunks(point)])
+    selection = equations.law.selection
+    sigma = np.concatenate([task_singular_values(selection, plant, np.ascontiguousarray(some.x[:, :n])) for some in chunks(point)])
     if not equations.law.damping:
         found = nearest_singular(equations.robot.tool, sigma)
         found = found.at(float(point.times[found.index]))
@@ -70,11 +72,13 @@ def chosen_coordinates(equations: Equations, asked: Coordinates | None, point: O
     Raises BadArgument, Unsupported, and NearSingular with time, frame and smallest singular value.
     """
     sigma = _singular_values(equations, point)
-    tool, square = equations.law.space == "tool", equations.n == 6
+    size = len(equations.law.error_channels(equations.robot.joint_names))
+    tool, square = equations.law.space == "tool", equations.n == size
     if asked is None:
         return "error" if tool and square and np.all(sigma[:, 0] < WARN_CONDITION * sigma[:, -1]) else "state"
     checks.choice("coordinates", asked, ("state", "error"))
     if asked == "error" and tool and not square:
-        takes = f"a square Jacobian: {equations.robot.name} has {equations.n} joints, so the error does not determine the state"
+        given = "" if equations.law.selection is None else f" for {size} selected directions"
+        takes = f"a square Jacobian: {equations.robot.name} has {equations.n} joints{given}, so the error does not determine the state"
         raise Unsupported("coordinates", "error", takes)
     return asked

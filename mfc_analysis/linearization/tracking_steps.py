@@ -74,11 +74,14 @@ def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]
         return system, _forces(lin, tuple(range(6)))
     if law.space == "joint":
         return system, [(f"q_d_{j}", f"q_{j}", j) for j in lin.equations.robot.joint_names]
-    system = _with_followed_pose(system)
+    directions = law.error_channels(lin.equations.robot.joint_names)
+    system = _with_followed_pose(system, directions)
     rows = law.force_directions
-    moving = tuple(range(6)) if rows is None else tuple(i for i in range(6) if _held(rows)[i] < 0.5)
+    if rows is None:
+        return system, [(f"X_d_{c}", f"X_{c}", f"X_{c}") for c in directions]
+    moving = tuple(i for i in range(6) if _held(rows)[i] < 0.5)
     pairs = [(f"X_d_{TWIST[i]}", f"X_{TWIST[i]}", f"X_{TWIST[i]}") for i in moving]
-    return system, pairs if rows is None else pairs + _forces(lin, tuple(i for i in range(6) if i not in moving))
+    return system, pairs + _forces(lin, tuple(i for i in range(6) if i not in moving))
 
 
 def _held(rows: Array) -> Array:
@@ -110,15 +113,15 @@ def _resisted(lin: Linearization) -> tuple[int, ...]:
     return tuple(i for i in range(6) if size[i] > RESISTED * largest[i] and largest[i] > 0)
 
 
-def _with_followed_pose(system: OpenSystem) -> OpenSystem:
+def _with_followed_pose(system: OpenSystem, directions: tuple[str, ...]) -> OpenSystem:
     """X_e rows replaced by r - X_e: the motion of the tool with its reference."""
-    rows = [system.output_names.index(f"X_e_{c}") for c in TWIST]
+    rows = [system.output_names.index(f"X_e_{c}") for c in directions]
     C, D = system.C.copy(), system.D.copy()
     C[:, rows] *= -1.0
     D[:, rows] *= -1.0
-    for row, c in zip(rows, TWIST, strict=True):
+    for row, c in zip(rows, directions, strict=True):
         D[:, row, system.input_names.index(f"X_d_{c}")] += 1.0
     names = list(system.output_names)
-    for row, c in zip(rows, TWIST, strict=True):
+    for row, c in zip(rows, directions, strict=True):
         names[row] = f"X_{c}"
     return replace(system, C=C, D=D, output_names=tuple(names))

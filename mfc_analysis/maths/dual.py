@@ -149,6 +149,12 @@ def elementwise(x: Vector, f: Callable[[Array], Array], df: Callable[[Array], Ar
     return f(np.asarray(x))
 
 
+def total(x: Vector) -> Array | Dual:
+    """The sum over the components, (..., 1)."""
+    out = value(x).sum(axis=-1, keepdims=True)
+    return Dual(out, x.tangent.sum(axis=-2, keepdims=True)) if isinstance(x, Dual) else out
+
+
 def concatenate(parts: Sequence[Vector]) -> Array | Dual:
     """Joins along the component axis; plain parts among dual ones get a zero tangent."""
     duals = [p for p in parts if isinstance(p, Dual)]

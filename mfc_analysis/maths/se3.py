@@ -9,6 +9,7 @@ form).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +17,12 @@ import numpy as np
 from mfc_analysis.errors import BadArgument, NearPi
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.dual import Dual, Vector, chain, matvec, times, value
+from mfc_analysis.maths.dual import Dual, Vector, chain, concatenate, elementwise, matvec, times, total, value
 
 #: (y/2) cot(y/2) = 1 - sum a_k y^(2k): Bernoulli numbers over factorials, k = 1..8
 _A = np.array([1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600, 3617 / 10670622842880000])
 _A_DOWN = _A[::-1].tolist()
+_FAR = np.array([2 * sum(n ** (-2.0 * k) for n in range(1, 40)) / (2 * np.pi) ** (2 * k) for k in range(9, 41)])  #: the same for k = 9..40
 MOST = np.pi - 1e-3  #: [rad] largest angle of which a logarithm is taken in a loop
 _SMALL = 0.25  # theta^2 below which the series is used
 
@@ -44,6 +46,27 @@ def cross(a: Array, b: Array) -> Array:
     out = np.empty((*x.shape, 3))
     out[..., 0], out[..., 1], out[..., 2] = x, az * bx - ax * bz, ax * by - ay * bx
     return out
+
+
+def cross_product(a: Vector, b: Vector) -> Array | Dual:
+    """a x b of (..., 3) vectors, plain or dual."""
+    return chain(cross(value(a), value(b)), (lambda: -hat(value(b)), a), (lambda: hat(value(a)), b))
+
+
+def coadjoint(V: Vector, F: Vector) -> Array | Dual:
+    """ad(V)^T F of a twist and a wrench, plain or dual (..., 6)."""
+    v, w, f, m = (part(x) for x in (V, F) for part in (linear, angular))
+    return concatenate([cross_product(f, w), cross_product(f, v) + cross_product(m, w)])
+
+
+def linear(V: Vector) -> Vector:
+    """(..., 3) the first half of a twist or wrench, plain or dual."""
+    return V[:3] if isinstance(V, Dual) else np.asarray(V)[..., :3]
+
+
+def angular(V: Vector) -> Vector:
+    """(..., 3) the second half."""
+    return V[3:] if isinstance(V, Dual) else np.asarray(V)[..., 3:]
 
 
 def ad(V: Array) -> Array:
@@ -196,6 +219,41 @@ def log_rate(xi: Vector, V: Vector) -> Array | Dual:
     a2 = bracket(xi, a1)
     a4 = bracket(xi, bracket(xi, a2))
     return V + 0.5 * a1 + A * a2 + B * a4
+
+
+def log_rate_transposed(xi: Vector, F: Vector) -> Vector:
+    """Jlog6(xi)^T F; both arguments plain or dual."""
+    A, B = log_coefficients(xi)
+    f1 = coadjoint(xi, F)
+    f2 = coadjoint(xi, f1)
+    return F + 0.5 * f1 + A * f2 + B * coadjoint(xi, coadjoint(xi, f2))
+
+
+def log_slope(xi: Vector, eta: Vector, V: Vector) -> Vector:
+    """d/dh of Jlog6(xi + h eta) V at h = 0, V held; all arguments plain or dual (..., 6). Rotations up to pi."""
+    a, b = _series()
+    w = angular(xi)
+    square = total(w * w)
+    ds = 2.0 * total(w * angular(eta))
+    A, B, dA, dB = (elementwise(square, *_polynomial(np.asarray(p, float))) for p in (a, b, np.polyder(a), np.polyder(b)))
+    a1, e1 = bracket(xi, V), bracket(eta, V)
+    a2, e2 = bracket(xi, a1), bracket(eta, a1) + bracket(xi, e1)
+    a3 = bracket(xi, a2)
+    e4 = bracket(eta, a3) + bracket(xi, bracket(eta, a2) + bracket(xi, e2))
+    return 0.5 * e1 + (dA * ds) * a2 + A * e2 + (dB * ds) * bracket(xi, a3) + B * e4
+
+
+def _series() -> tuple[Array, Array]:
+    """A and B of ``_coefficients`` as polynomials in theta^2, highest power first, exact to rounding up to an angle of pi."""
+    whole = np.concatenate([_A, _FAR])
+    k = np.arange(1, whole.size + 1)
+    return ((2 - k) * whole)[::-1], ((1 - k) * whole)[:0:-1]
+
+
+def _polynomial(p: Array) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+    """A polynomial and its derivative, as functions of an array."""
+    slope = np.polyder(p)
+    return lambda s: np.asarray(np.polyval(p, s), float), lambda s: np.asarray(np.polyval(slope, s), float)
 
 
 def log_coefficients(xi: Vector) -> tuple[Vector, Vector]:

@@ -272,7 +272,8 @@ def _tracking(e: Evidence) -> Found:
     run = e.run
     if run.diverged:
         return Found(np.nan, "", run.end, run.message)
-    names = tuple(f"X_e_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")) if e.equations.law.space == "tool" else e.equations.robot.joint_names
+    law = e.equations.law
+    names = tuple(f"X_e_{c}" if law.space == "tool" else c for c in law.error_channels(e.equations.robot.joint_names))
     return _worst(np.abs(run.error), names, run.t, True)
 
 

@@ -73,7 +73,8 @@ def _way(evidence: Evidence, i: int, moved: Array) -> _Way:
     U, size, _ = np.linalg.svd(moved)
     along = U[:, : int(np.count_nonzero(size > STRONG * size[0]))] * size[size > STRONG * size[0]]
     if lin.coordinates == "error" and e.law.space == "tool":  # the positions are X_e
-        tool = np.abs(along).max(axis=1)
+        selection = e.law.selection
+        tool = np.abs(along if selection is None else selection.rows.T @ along).max(axis=1)
     else:
         named = _named(np.abs(along).max(axis=1), e.robot.joint_names)
         if e.law.space == "joint" and not e.surfaces:

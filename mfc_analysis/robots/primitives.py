@@ -222,8 +222,7 @@ class Primitives:
         """
         at = self.at(value(q))
         M = at.M if mass is None else mass
-        trace = np.trace(M, axis1=-2, axis2=-1)[..., None, None]
-        soft = damping**2 * self.n / trace
+        soft, slope, trace_rate = self.softness(q, damping, mass)
         if mass is None and damping == 0.0:
             Lambda = at.Lambda
         else:
@@ -236,11 +235,20 @@ class Primitives:
         back = self.mobility(q, y, mass)  # Lambda^-1 y with y held: its tangent is d(Lambda^-1) y
         assert isinstance(back, Dual)
         tangent = x.tangent - back.tangent if isinstance(x, Dual) else -back.tangent
-        if mass is None and damping:
-            diagonal = [self.mass(q, axis)[i : i + 1] for i, axis in enumerate(np.eye(self.n))]
-            trace_rate = sum(part.tangent for part in diagonal if isinstance(part, Dual))  # (..., 1, N)
-            tangent = tangent + soft / trace * y[..., None] * trace_rate
+        if trace_rate is not None:
+            tangent = tangent + slope * y[..., None] * trace_rate
         return Dual(y, Lambda @ tangent)
+
+    def softness(self, q: Vector, damping: float, mass: Array | None = None) -> tuple[Array, Array, Array | None]:
+        """d = damping^2 n / trace(M) and d / trace(M), (..., 1, 1), and the tangent of trace(M) (..., 1, N); None where d is constant."""
+        M = self.at(value(q)).M if mass is None else mass
+        trace = np.trace(M, axis1=-2, axis2=-1)[..., None, None]
+        soft = damping**2 * self.n / trace
+        if mass is not None or not damping or not isinstance(q, Dual):
+            return soft, soft / trace, None
+        diagonal = [self.mass(q, axis)[i : i + 1] for i, axis in enumerate(np.eye(self.n))]
+        rates = [part.tangent for part in diagonal if isinstance(part, Dual)]
+        return soft, soft / trace, np.asarray(sum(rates))
 
     # --- loops over Pinocchio calls ------------------------------------------------------------------------------
 

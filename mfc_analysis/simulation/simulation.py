@@ -52,7 +52,7 @@ class Simulation:
     v: Array  #: (k, n)
     tau: Array  #: (k, n) torque at the joints, after dead time, limit and lag [Nm] (velocity laws: velocity [rad/s])
     command: Array  #: (k, n) command of the law
-    error: Array  #: (k, n) e = q_d - q, or (k, 6) X_e for tool laws
+    error: Array  #: (k, n) e = q_d - q, or (k, 6) X_e for tool laws, its selected directions of a law with axes
     twist: Array  #: (k, 6) body twist of the tool [m/s, rad/s]
     force: Array  #: (k, 6) F_tip, tool frame [N, Nm]
     events: tuple[Event, ...]

@@ -187,7 +187,7 @@ class Parts:
         ref = getattr(trajectories, kind)(**values)
         if not getattr(table, "inverse_kinematics", False):
             return ref
-        return trajectories.from_tool_path(self.robot, ref, self._start("q_start"), self._times_of(ref))
+        return trajectories.from_tool_path(self.robot, ref, self._start("q_start"), self._times_of(ref), table.axes)
 
     def times(self) -> Array:
         """(m,) [s] at which the loop is analysed: those of the study, else along the reference."""

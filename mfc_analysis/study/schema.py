@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
 from mfc_analysis.analysis.loop_step import SettlingStep
 from mfc_analysis.robots.catalogue import EMBEDDED
-from mfc_analysis.study.tables import Number, Pose, ReferenceTable, Table, Three, Values, Vector, is_number, takes
+from mfc_analysis.study.tables import Directions, Number, Pose, ReferenceTable, Table, Three, Values, Vector, is_number, takes
 
 
 def _locked(value: Any) -> list[str] | dict[str, float]:
@@ -182,6 +182,7 @@ class LawTable(Table):
     damping: Number | None = None
     null_damping: Number | None = None
     inverse: str | None = None
+    axes: Directions | None = None  #: "xyz", "xyzrz", or (k, 6) orthonormal rows
     F_d: Vector | None = None
     kfp: Values | None = None
     kfi: Values | None = None

@@ -52,8 +52,13 @@ def _three(value: Any) -> list[float]:
     return [float(x) for x in value]
 
 
+def _directions(value: Any) -> Any:
+    return value if isinstance(value, str) else _values(value)
+
+
 Number = Annotated[float, PlainValidator(_number)]
 Values = Annotated[Any, PlainValidator(_values)]  #: a number, a vector or a matrix
+Directions = Annotated[Any, PlainValidator(_directions)]  #: "xyz", "xyzrz", or the rows of a matrix
 Vector = Annotated[list[float], PlainValidator(_vector)]
 Three = Annotated[list[float], PlainValidator(_three)]
 
@@ -202,9 +207,16 @@ class CsvTable(Table):
 
 
 class ToolTable(Table):
-    """Common keys of the tool references: ``inverse_kinematics = true`` turns them into a joint trajectory (9.14)."""
+    """Common keys of the tool references: ``inverse_kinematics = true`` turns them into a joint trajectory (9.14), of all directions or of axes."""
 
     inverse_kinematics: bool = False
+    axes: Directions | None = None
+
+    @model_validator(mode="after")
+    def _axes_followed(self) -> ToolTable:
+        if self.axes is not None and not self.inverse_kinematics:
+            raise takes("axes only with inverse_kinematics = true; a tool law has axes of its own, a key of [law]")
+        return self
 
 
 class ToolHoldTable(ToolTable):

@@ -2,7 +2,7 @@
 
 At each time the pose is solved by Newton's method on log6(X^-1 X_d), from the joints at the previous time. The velocity has least norm,
 v = J^# V_d, and the acceleration is its derivative along the path, so that J v = V_d and J a + J' v = V_d'. On a redundant arm the
-joints follow q' = J^# V_d from ``q_start``, which determines the self-motion.
+joints follow q' = J^# V_d from ``q_start``, which determines the self-motion. Of selected directions (``axes``) the same holds with S J.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from numpy.typing import ArrayLike
 from mfc_analysis.errors import BadArgument, MfcWarning, NearSingular, NotConverged
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.se3 import adjoint, inverse, log6, pose_matrix
+from mfc_analysis.maths.se3 import pose_matrix
 from mfc_analysis.robots.singularity import REFUSE_CONDITION, WARN_CONDITION
+from mfc_analysis.robots.tool_task import Selection
 from mfc_analysis.trajectories.joint import JointPoint, JointReference, warn_outside_limits
 from mfc_analysis.trajectories.piecewise import Piecewise
+from mfc_analysis.trajectories.tip import SelectedTip, Tip
 from mfc_analysis.trajectories.tool import ToolPoint, ToolReference
 
 if TYPE_CHECKING:
@@ -98,12 +100,13 @@ class _Node(NamedTuple):
     a: Array
 
 
-def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike) -> JointPath:
+def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike, axes: Any = None) -> JointPath:
     """The joint trajectory (q, v, a) that moves the tool along ``tool_ref`` (equation 9.14), exact at ``times`` and at nodes added between them.
 
     Args:
-        robot: any arm; with fewer than six joints the path must be feasible.
+        robot: any arm; with fewer than six joints the path must be feasible, or ``axes`` say which part of it is followed.
         q_start: (n,) [rad or m] near the solution at ``times[0]``. times: (m,) [s], m >= 2, increasing.
+        axes: directions of the tool that follow the path, "xyz", "xyzrz", or (k, 6) orthonormal rows, as those of a tool law; None: all six.
 
     Raises ``NotConverged`` (out of reach, or a jump), ``NearSingular`` (condition number of J above 1e6), both with the time, ``BadArgument``.
     Warns (``MfcWarning``) of a condition number above 1e4 and of joint limits.
@@ -111,15 +114,18 @@ def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, ti
     t = checks.times(times)
     if t.size < 2:
         raise BadArgument("times", times, "at least two times [s]")
-    follower = _Follower(robot, _tool(tool_ref))
-    kept, nodes = follower.walk(_start(robot, q_start), t, FINE)
+    start = _start(robot, q_start)
+    follower = _Follower(_tip(robot, None if axes is None else Selection(axes)), _tool(tool_ref))
+    kept, nodes = follower.walk(start, t, FINE)
     follower.report()
     path = JointPath(kept, nodes.q, nodes.v, nodes.a, _closed(tool_ref, t, nodes))
     warn_outside_limits(robot, path, path.times)
     return path
 
 
-def follow(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike, damping: float = 0.0) -> _Node:
+def follow(
+    robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike, damping: float = 0.0, selection: Selection | None = None
+) -> _Node:
     """Joint motion (q, v, a), (m, n) each, read-only, that moves the tool along ``tool_ref``, exact at these ``times``.
 
     That of the same path, arm (whatever its loads), start and times is computed once.
@@ -128,13 +134,15 @@ def follow(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: Arr
         q_start: (n,) [rad or m] near the solution at t = 0, or at ``times[0]`` if that is earlier; followed from there.
         times: (m,) [s], increasing.
         damping: [-] of the inverse of J, v = J^T (J J^T + damping^2)^-1 V; above 0 no error is raised near a singularity.
+        selection: the directions that are followed; None: all six.
 
     Raises and warns as ``from_tool_path``, except for joint limits.
     """
     t, start = checks.times(times), _start(robot, q_start)
-    follower = _Follower(robot, _tool(tool_ref), checks.number("damping", damping, low=0.0))
+    follower = _Follower(_tip(robot, selection), _tool(tool_ref), checks.number("damping", damping, low=0.0))
     known = _FOLLOWED.setdefault(tool_ref, {}) if _is_fixed(tool_ref) else {}
-    key = b"|".join([_kinematics(robot), start.tobytes(), t.tobytes(), repr(damping).encode()])
+    rows = b"" if selection is None else selection.rows.tobytes()
+    key = b"|".join([_kinematics(robot), start.tobytes(), t.tobytes(), repr(damping).encode(), rows])
     if key not in known:
         if len(known) >= MOST_FOLLOWED:
             del known[next(iter(known))]
@@ -167,9 +175,18 @@ def _kinematics(robot: Robot) -> bytes:
 
 def solve_pose(robot: Robot, X: Any, q_start: ArrayLike) -> Array:
     """(n,) joint position near ``q_start`` [rad or m] with the tool at the pose X (4x4 or a Pinocchio SE3). Raises ``NotConverged``."""
-    q, error, found = _newton(robot, pose_matrix("X", X), _start(robot, q_start), False)
+    start = _start(robot, q_start)
+    q, error, found = _newton(Tip(robot), pose_matrix("X", X), start, False)
     if not found:
         raise NotConverged(_out_of_reach(robot, error, "near q_start"))
+    return q
+
+
+def displaced(robot: Robot, X: Array, error: Array, q_start: Array, selection: Selection) -> Array:
+    """(n,) joint position near ``q_start`` with this error (k,) of the selected directions from the pose X (4, 4). Raises ``NotConverged``."""
+    q, _, found = _newton(_tip(robot, selection), X, q_start, False, error)
+    if not found:
+        raise NotConverged(f"no joint position of {robot.name!r} found with the tool {np.abs(error).max():.3g} m or rad from its reference")
     return q
 
 
@@ -177,7 +194,7 @@ def solve_pose(robot: Robot, X: Any, q_start: ArrayLike) -> Array:
 class _Follower:
     """Follows one tool path with one robot, and records the worst condition number."""
 
-    robot: Robot
+    tip: Tip
     ref: ToolReference
     damping: float = 0.0
     worst: tuple[float, float, float] = (0.0, 0.0, 0.0)  # condition number, smallest singular value, time
@@ -217,35 +234,36 @@ class _Follower:
         """The joint positions (m, n) with the tool on the path, from nearby guesses."""
         X = self.ref(t).X
         for _ in range(4):
-            error = log6(inverse(self.robot.pose(q)) @ X)
+            error = self.tip.error(q, X)
             far = np.abs(error).max(axis=-1)
             if (far < TOLERANCE).all():
                 return q
             if (far > 0.1).any():
                 break
-            step = self._inverse(self.robot.jacobian(q), t, quiet=True) @ error[..., None]
+            step = self._inverse(self.tip.jacobian(q, X), t, quiet=True) @ error[..., None]
             q = q + step[..., 0]
             if (far < 1e-8).all():  # Newton's next error is its square
                 return q
         out = np.array(q)
         for k in range(t.size):
-            out[k], left, found = _newton(self.robot, X[k], q[k], self.damping > 0)
+            out[k], left, found = _newton(self.tip, X[k], q[k], self.damping > 0)
             if not found:
-                raise NotConverged(_out_of_reach(self.robot, left, f"at t = {t[k]:.4g} s"))
+                raise NotConverged(_out_of_reach(self.tip.robot, left, f"at t = {t[k]:.4g} s"))
         return out
 
     def node(self, q: Array, t: Array) -> _Node:
         """Velocity and acceleration at joint positions (m, n) on the path."""
         point = self.ref(t)
-        J = self.robot.jacobian(q)
+        tip = self.tip
+        J = tip.jacobian(q, point.X)
         pinv = self._inverse(J, t)
-        v = pinv @ point.V[..., None]
-        J_rate = self.robot.jacobian_rate(q, v[..., 0])
-        a = pinv @ (point.dV[..., None] - J_rate @ v)
-        if self.robot.n > 6 and self.damping == 0:  # the null-space part of (J^# V)'
+        v = pinv @ tip.velocity(q, point)[..., None]
+        wanted, J_rate = tip.acceleration(q, v[..., 0], point)
+        a = pinv @ wanted[..., None]
+        if tip.robot.n > tip.size and self.damping == 0:  # the null-space part of (J^# V)'
             null = np.swapaxes(J_rate, -1, -2) @ (np.swapaxes(pinv, -1, -2) @ v)
             a = a + null - pinv @ (J @ null)
-        if self.robot.n < 6 and self.damping == 0:
+        if tip.robot.n < tip.size and self.damping == 0:
             self._check_followed((J @ v)[..., 0] - point.V, (J @ a + J_rate @ v)[..., 0] - point.dV, point, t)
         return _Node(q, v[..., 0], a[..., 0])
 
@@ -253,15 +271,15 @@ class _Follower:
         """Warns where the Jacobian is close to singular."""
         condition, smallest, t = self.worst
         if condition > WARN_CONDITION:
-            text = f"the Jacobian of frame {self.robot.tool!r} is close to singular at t = {t:.4g} s"
+            text = f"the Jacobian of frame {self.tip.robot.tool!r} is close to singular at t = {t:.4g} s"
             warnings.warn(f"{text}: smallest singular value {smallest:.3g}, condition number {condition:.3g}", MfcWarning, stacklevel=3)
 
     def _substeps(self, node: _Node, t0: float, t1: float, slices: int) -> int:
         """Number of nodes of an interval, for joint steps below ``STEP`` and for the time scale of the path."""
         if self.ref.is_hold or (self.ref.duration is not None and (t1 <= 0 or t0 >= self.ref.duration)):
             return 1
-        pinv = self._inverse(self.robot.jacobian(node.q), np.array([t0]), quiet=True)[0]
-        fastest = float(np.abs(pinv @ self.ref(np.linspace(t0, t1, 9)).V.T).max())
+        pinv = self._inverse(self.tip.jacobian(node.q, self.ref(np.array([t0])).X), np.array([t0]), quiet=True)[0]
+        fastest = float(np.abs(pinv @ self.tip.velocity(node.q, self.ref(np.linspace(t0, t1, 9))).T).max())
         whole = self.ref.period or self.ref.duration
         pieces = 1.0 if whole is None else slices * (t1 - t0) / whole
         speed = 1.5 * fastest * (t1 - t0) / STEP
@@ -274,7 +292,7 @@ class _Follower:
     def _advance(self, node: _Node, t0: Array, t1: Array) -> Array:
         """The next joint position: by Taylor, or along q' = J^# V (Runge-Kutta) on a redundant arm with self-motion."""
         h = t1 - t0
-        if self.robot.n <= 6 or self.damping > 0:
+        if self.tip.robot.n <= self.tip.size or self.damping > 0:
             return node.q + h * node.v + 0.5 * h * h * node.a
         k2 = self._rate(node.q + 0.5 * h * node.v, t0 + 0.5 * h)
         k3 = self._rate(node.q + 0.5 * h * k2, t0 + 0.5 * h)
@@ -282,8 +300,8 @@ class _Follower:
 
     def _rate(self, q: Array, t: Array) -> Array:
         point = self.ref(t)
-        V = adjoint(inverse(self.robot.pose(q)) @ point.X) @ point.V[..., None]  # twist of the path in the present tool frame
-        rate: Array = self._inverse(self.robot.jacobian(q), t) @ V
+        V = self.tip.transported(q, point)[..., None]  # twist of the path in the present tool frame
+        rate: Array = self._inverse(self.tip.jacobian(q, point.X), t) @ V
         return rate[..., 0]
 
     def _inverse(self, J: Array, t: Array, quiet: bool = False) -> Array:
@@ -298,7 +316,7 @@ class _Follower:
             k = int(np.argmax(condition))
             self.worst = max(self.worst, (float(condition[k]), float(s[k, -1]), float(t[k])))
             if condition[k] > REFUSE_CONDITION:
-                raise NearSingular(self.robot.tool, float(s[k, -1]), float(condition[k]), float(t[k]))
+                raise NearSingular(self.tip.robot.tool, float(s[k, -1]), float(condition[k]), float(t[k]))
             gain = 1.0 / s
         out: Array = (np.swapaxes(Vt, -1, -2) * gain[..., None, :]) @ np.swapaxes(U, -1, -2)
         return out
@@ -308,27 +326,30 @@ class _Follower:
         missed = np.maximum(np.abs(missed_V).max(axis=-1), np.abs(missed_dV).max(axis=-1))
         if missed.max() > 1e-6 * scale:
             when = float(t[int(np.argmax(missed))])
-            raise NotConverged(f"{self.robot.n} joints cannot follow the tool path at t = {when:.4g} s: no joint motion gives a part of its twist")
+            text = f"{self.tip.robot.n} joints cannot follow the tool path at t = {when:.4g} s: no joint motion gives a part of its twist"
+            raise NotConverged(text + _fewer(self.tip.robot))
 
 
-def _newton(robot: Robot, target: Array, q: Array, least: bool) -> tuple[Array, Array, bool]:
+def _newton(tip: Tip, target: Array, q: Array, least: bool, wanted: Array | float = 0.0) -> tuple[Array, Array, bool]:
     """Joint position (n,) at the target, the remaining pose error, and whether it converged (``least``: or the error is minimal).
+
+    ``wanted``: the error to arrive at.
 
     Damped least squares, which become Newton steps near the solution.
     """
     q, mu = np.array(q), 0.0
-    error = log6(inverse(robot.pose(q)) @ target)
+    error = tip.error(q, target) - wanted
     for _ in range(ITERATIONS):
         size = float(np.linalg.norm(error))
         if size < TOLERANCE:
             return q, error, True
-        J = robot.jacobian(q)
+        J = tip.jacobian(q, target)
         if least and np.abs(J.T @ error).max() < 1e-9:
             return q, error, True
         U, s, Vt = np.linalg.svd(J, full_matrices=False)
         step = Vt.T @ (s / (s * s + mu + (1e-9 * s[0]) ** 2) * (U.T @ error))
         step *= min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-300))
-        after = log6(inverse(robot.pose(q + step)) @ target)
+        after = tip.error(q + step, target) - wanted
         if np.linalg.norm(after) < size:
             q, error, mu = q + step, after, (0.0 if mu < 1e-9 else 0.1 * mu)
         elif size < ROUNDING:
@@ -339,11 +360,15 @@ def _newton(robot: Robot, target: Array, q: Array, least: bool) -> tuple[Array, 
 
 
 def _out_of_reach(robot: Robot, error: Array, where: str) -> str:
-    far, turned = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+    size = f"{np.linalg.norm(error[:3]):.3g} m and {np.linalg.norm(error[3:]):.3g} rad" if error.size == 6 else f"{np.linalg.norm(error):.3g}"
     return (
-        f"no joint position of {robot.name!r} found for the tool pose {where}: error {far:.3g} m and {turned:.3g} rad after {ITERATIONS} steps. "
-        "The pose is out of reach, or q_start is too far from it"
+        f"no joint position of {robot.name!r} found for the tool pose {where}: error {size} after {ITERATIONS} steps. "
+        f"The pose is out of reach, or q_start is too far from it{_fewer(robot) if error.size == 6 else ''}"
     )
+
+
+def _fewer(robot: Robot) -> str:
+    return '; axes= ("xyz", ...) leaves directions out' if robot.n < 6 else ""
 
 
 def _closed(ref: ToolReference, t: Array, nodes: _Node) -> float | None:
@@ -356,6 +381,10 @@ def _closed(ref: ToolReference, t: Array, nodes: _Node) -> float | None:
         return None
     back = all(np.abs(x[0] - x[-1]).max() < 1e-7 * (1 + np.abs(x).max()) for x in nodes)
     return ref.period if back else None
+
+
+def _tip(robot: Robot, selection: Selection | None) -> Tip:
+    return Tip(robot) if selection is None else SelectedTip(robot, selection)
 
 
 def _start(robot: Robot, q_start: ArrayLike) -> Array:

@@ -8,9 +8,10 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from mfc_analysis import laws as L, robots
-from mfc_analysis.dynamics.environment import AXES, Environment, contact
+from mfc_analysis.dynamics.environment import Environment, contact
 from mfc_analysis.errors import BadArgument, NearPi
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.axes import AXES
 from mfc_analysis.maths.se3 import Jlog6, exp6
 from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.trajectories import Hold

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mfc_analysis.maths.dual import Dual, Seed, chain, concatenate, elementwise, matvec, times, value
+from mfc_analysis.maths.dual import Dual, Seed, chain, concatenate, elementwise, matvec, times, total, value
 
 K = np.random.default_rng(3).normal(size=(4, 3))
 
@@ -25,6 +25,7 @@ OPERATIONS = {
     "slice": lambda x, y: x[1:] * y[:2],
     "matrix": lambda x, y: matvec(K, x),
     "matrices": lambda x, y: matvec(np.stack([K, 2 * K]), x),
+    "total": lambda x, y: total(x * y),
     "sine": lambda x, y: elementwise(x, np.sin, np.cos),
     "joined": lambda x, y: concatenate([x, y * y, -x]),
     "joined with plain": lambda x, y: concatenate([np.zeros((2, 2)), x * y]),

@@ -173,3 +173,26 @@ def test_one_pose_near_pi_is_refused_as_in_a_batch(short: float) -> None:
                 pose.log()
         else:
             assert np.isfinite(pose.log()).all()
+
+
+@pytest.mark.parametrize("angle", [*ANGLES, 2.5, np.pi - 1e-3])
+def test_the_slope_of_the_rate_of_a_logarithm_is_that_of_differences_and_has_an_exact_tangent(angle: float) -> None:
+    xi, eta, V, h = with_angle(angle), with_angle(0.9, 1), with_angle(0.7, 2), 1e-3 * max(1e-3, min(1.0, np.pi - angle))
+    numeric = sum(c * se3.log_rate(xi + s * h * eta, V) for s, c in ((-2, 1), (-1, -8), (1, 8), (2, -1))) / (12 * h)
+    assert_allclose(se3.log_slope(xi, eta, V), numeric, rtol=1e-6, atol=1e-7)
+    found = se3.log_slope(*(Dual(x, np.eye(18)[6 * i : 6 * i + 6]) for i, x in enumerate((xi, eta, V))))
+    d = np.random.default_rng(3).normal(size=18)
+    slopes = [se3.log_slope(xi + s * h * d[:6], eta + s * h * d[6:12], V + s * h * d[12:]) for s in (-2, -1, 1, 2)]
+    numeric = (slopes[0] - 8 * slopes[1] + 8 * slopes[2] - slopes[3]) / (12 * h)
+    assert_allclose(found.tangent @ d, numeric, rtol=1e-5, atol=1e-6)
+
+
+def test_the_transposes_are_those_of_the_matrices() -> None:
+    xi, V, F = with_angle(1.2), with_angle(0.7, 1), with_angle(0.4, 2)
+    assert_allclose(se3.coadjoint(V, F), se3.ad(V).T @ F, atol=1e-14)
+    assert_allclose(se3.log_rate_transposed(xi, F), se3.Jlog6(xi).T @ F, atol=1e-13)
+    seeds = np.eye(12)
+    found = se3.log_rate_transposed(Dual(xi, seeds[:6]), Dual(F, seeds[6:]))
+    d, h = np.random.default_rng(4).normal(size=12), 1e-4
+    numeric = (se3.log_rate_transposed(xi + h * d[:6], F + h * d[6:]) - se3.log_rate_transposed(xi - h * d[:6], F - h * d[6:])) / (2 * h)
+    assert_allclose(found.tangent @ d, numeric, atol=1e-7)

@@ -27,3 +27,9 @@ def robot(*parts: str) -> str:
 TWO = robot(link("one"), link("two"), joint("j1", "base", "one"), joint("j2", "one", "two", damping=0.4))
 CONTINUOUS = robot(link("one"), link("two"), joint("j1", "base", "one", "continuous"), joint("j2", "one", "two", "prismatic"))
 FORK = robot(link("one"), link("left"), link("right"), joint("j1", "base", "one"), joint("jl", "one", "left"), joint("jr", "one", "right"))
+
+#: four joints: two turn about the vertical, one slides along it, the last turns the tool
+SCARA = robot(
+    link("one", 4.0), link("two", 3.0), link("quill", 1.0), link("hand", 0.5),
+    joint("shoulder", "base", "one"), joint("elbow", "one", "two"), joint("lift", "two", "quill", "prismatic"), joint("turn", "quill", "hand"),
+)  # fmt: skip

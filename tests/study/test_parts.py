@@ -260,6 +260,41 @@ def test_the_inverse_of_a_redundant_arm_is_a_key():
     assert why.value.key == "law.inverse"
 
 
+def test_the_directions_of_a_tool_law_are_a_key():
+    law = {"equation": "9.16", "kp": 100.0, "kd": 20.0}
+    assert parts(law=law).law.selection is None
+    assert parts(law={**law, "axes": "xyz"}).law.selection.names == ("vx", "vy", "vz")
+    assert parts(law={**law, "axes": [[0.6, 0.8, 0, 0, 0, 0]]}).law.selection.names == ("row1",)
+    for axes in ("xyw", [[1, 1, 0, 0, 0, 0]]):
+        with pytest.raises(StudyError, match="orthonormal rows") as why:
+            _ = parts(law={**law, "axes": axes}).law
+        assert why.value.key == "law.axes"
+
+
+def test_joints_follow_the_directions_of_a_tool_path_that_a_study_names(tmp_path):
+    text = f"""q_start = {Q}
+    [robot]
+    name = "ur5"
+    [law]
+    equation = "9.10"
+    kp = 100
+    kd = 20
+    [reference]
+    kind = "ToolHold"
+    inverse_kinematics = true
+    X = {{ shift = [0.02, 0.0, 0.0], turn = [0.0, 0.3, 0.0] }}
+    axes = "xyz"
+    [times]
+    stop = 1.0
+    """
+    loop = study(tmp_path, text).loops[0].loop
+    X, wanted = loop.robot.pose(loop.nominal([0.0]).q[0]), loop.robot.pose(Q)
+    assert_allclose(X[:3, 3], wanted[:3, 3] + [0.02, 0, 0], atol=1e-12)
+    assert np.abs(X[:3, :3] - wanted[:3, :3]).max() < 0.2  # the turn of 0.3 rad is not followed
+    why = refused(tmp_path, text.replace("    inverse_kinematics = true\n", ""))
+    assert why.key == "reference" and "inverse_kinematics" in str(why)
+
+
 def test_a_law_by_name_is_the_one_by_number():
     one, other = parts(law={"name": "JointPID", "kp": 5.0}).law, parts(law={"equation": "9.8", "kp": 5.0}).law
     assert type(one) is type(other) is laws.JointPID and float(one.kp.array) == float(other.kp.array) == 5.0

@@ -98,6 +98,8 @@ def parameters(view: View) -> tuple[Block, ...]:
         )
         out.append(Table("Controller gains.", heads, tuple(rows)))
     facts = [("robot", robot_words(view)), ("controller's model", model_words(view)), ("reference", reference_words(view))]
+    if law.selection is not None:
+        facts.append(("controlled directions", directions_words(law.selection.axes)))
     hardware = view.loop.equations.hardware
     for field in fields(hardware):
         given = getattr(hardware, field.name)
@@ -126,6 +128,11 @@ def unit_words(unit: str, joints: Sequence[str]) -> str:
 def gain_words(gain: Gain) -> str:
     """A gain as text."""
     return "none" if gain.array is None else array_words(np.asarray(gain.array))
+
+
+def directions_words(axes: str | Array) -> str:
+    """Selected directions of the tool as text."""
+    return f"{axes} of the tool frame" if isinstance(axes, str) else f"rows {array_words(axes)} on the twist in the tool frame"
 
 
 def array_words(a: Array) -> str:

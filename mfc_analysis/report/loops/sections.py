@@ -271,8 +271,9 @@ def _free_run(view: View) -> Section:
     except MfcError as why:
         return Section("Nonlinear simulation", f"Simulation not possible: {why}.")
     tool = loop.law.space == "tool"
-    names = tuple(f"X_e_{c}" for c in ("vx", "vy", "vz", "wx", "wy", "wz")) if tool else loop.robot.joint_names
-    units = "m, rad" if tool else ", ".join(sorted(set(loop.robot.joint_units)))
+    names = tuple(f"X_e_{c}" if tool else c for c in loop.law.error_channels(loop.robot.joint_names))
+    selection = loop.law.selection
+    units = ", ".join(sorted(set(selection.units if selection else ("m", "rad")))) if tool else ", ".join(sorted(set(loop.robot.joint_units)))
     first, last = np.abs(run.error[0]).max(), np.abs(run.error[-1]).max()
     said = (
         f"from an initial error of {written(float(first))} the largest error after {Number(float(run.t[-1] - run.t[0]), 's')} is"

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.steps import Outcome, Step, step
+from mfc_analysis.dynamics.equations import reference_channels, reference_moves
 from mfc_analysis.errors import MfcError, MfcWarning
-from mfc_analysis.laws.law import TWIST, WRENCH, ToolReference
+from mfc_analysis.laws.law import WRENCH, ToolReference
 from mfc_analysis.linearization.tracking_steps import followed
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import adjoint, exp6
@@ -108,7 +109,7 @@ def step_run(view: View) -> StepRun | None:
         return None
     linear = step(system, i, source, target, duration)
     size, unit = _size(view.loop, source, channel)
-    runs = [_run(loop, view, i, duration) for loop in (view.loop, _stepped(view.loop, source, size))]
+    runs = [_run(loop, view, i, duration) for loop in (view.loop, _stepped(view, i, source, size))]
     if runs[0] is None or runs[1] is None:
         return None
     k = min(len(r.t) for r in runs)
@@ -140,7 +141,9 @@ def _size(loop: ClosedLoop, source: str, channel: str) -> tuple[float, str]:
         asked = float(np.linalg.norm(wrench_asked(loop)))
         return max(FORCE * asked, 1.0), "N" if channel[2] == "f" else "Nm"
     if source.startswith("X_d"):
-        return (LINEAR, "m") if channel[2] == "v" else (ANGULAR, "rad")
+        selection = loop.law.selection
+        turns = channel[2] == "w" if selection is None else "rad" in selection.units[selection.names.index(channel[2:])]
+        return (ANGULAR, "rad") if turns else (LINEAR, "m")
     unit = loop.robot.joint_units[loop.robot.joint_names.index(channel)]
     return (PRISMATIC, "m") if unit == "m" else (JOINT, "rad")
 
@@ -150,15 +153,17 @@ def wrench_asked(loop: ClosedLoop) -> Array:
     return np.zeros(6) if loop.law.desired_wrench is None else np.array(loop.law.desired_wrench)
 
 
-def _stepped(loop: ClosedLoop, source: str, size: float) -> ClosedLoop:
+def _stepped(view: View, i: int, source: str, size: float) -> ClosedLoop:
+    """The loop with this reference channel moved by ``size``, as seen from operating point i."""
+    loop = view.loop
     surfaces = list(loop.equations.surfaces) or None
     if source.startswith("F_d_"):
         F_d = wrench_asked(loop)
         F_d[WRENCH.index(source.removeprefix("F_d_"))] += size
         return replace(loop, law=loop.law.changed(F_d=F_d), environment=surfaces)
     tool = source.startswith("X_d_")
-    delta = np.zeros(6 if tool else loop.robot.n)
-    delta[TWIST.index(source.removeprefix("X_d_")) if tool else loop.robot.joint_names.index(source.removeprefix("q_d_"))] = size
+    point = view.lin.point
+    delta = size * reference_moves(loop.equations, point.times[i : i + 1], point.x[i : i + 1])[0, :, reference_channels(loop.equations).index(source)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MfcWarning)
         if tool and loop.ref.space == "joint":
@@ -179,5 +184,5 @@ def _output(run: Any, target: str, loop: ClosedLoop) -> Array:
     if target.startswith("F_tip_"):
         return np.asarray(run.force[:, WRENCH.index(target.removeprefix("F_tip_"))])
     if target.startswith("X_"):
-        return np.asarray(run.error[:, TWIST.index(target.removeprefix("X_"))])
+        return np.asarray(run.error[:, loop.law.error_channels(loop.robot.joint_names).index(target.removeprefix("X_"))])
     return np.asarray(run.q[:, loop.robot.joint_names.index(target.removeprefix("q_"))])

@@ -32,6 +32,13 @@ def test_every_piece_of_hardware_is_told_with_its_number() -> None:
     assert all(f"{value:g} N" in cells(pushing()) for value in (1000.0, PUSH[2]))
 
 
+def test_selected_directions_are_told() -> None:
+    q = np.array([0.2, 0.4])
+    for axes, said in (("xy", "xy of the tool frame"), ([[0.6, 0.8, 0, 0, 0, 0]], "rows (0.6, 0.8, 0, 0, 0, 0)")):
+        loop = mfc.ClosedLoop(planar(), L.TaskVelocity(4.0, axes=axes), T.ToolHold(planar().pose(q)), q_start=q)
+        assert said in cells(view(loop))
+
+
 @pytest.mark.parametrize(
     ("robot", "unit", "other"),
     [(joint(), "31 Nm", "N of"), (mfc.robots.slider(), "31 N", "Nm"), (mfc.robots.rp(), "31 Nm (N of sliding joints)", "kg)")],

@@ -11,7 +11,7 @@ from mfc_analysis.analysis.steps import Outcome
 from mfc_analysis.maths.se3 import exp6, inverse, log6
 from mfc_analysis.report.loops.step_runs import GROWTH, Shifted, ToolOf, step_run, wrench_asked
 from tests.conftest import arm, moving, regular_pose
-from tests.report.loops.views import PUSH, H, L, T, mass, open_loop, pushing, unstable, velocity
+from tests.report.loops.views import PUSH, H, L, T, mass, open_loop, planar, pushing, unstable, velocity, view
 
 
 def test_the_step_of_a_velocity_loop_is_the_exponential_in_both_models() -> None:
@@ -39,6 +39,16 @@ def test_a_force_is_stepped_by_a_twentieth_of_what_is_asked_and_of_a_small_one_b
     small = mfc.ClosedLoop(loop.robot, loop.law.changed(F_d=np.array(PUSH) / 20), loop.ref, environment=list(loop.equations.surfaces))
     assert step_run(type(pushing())("small", small, np.zeros(1))).size == 1.0
     assert wrench_asked(loop).tolist() == list(PUSH) and wrench_asked(mass().loop).tolist() == [0.0] * 6
+
+
+@pytest.mark.parametrize(("axes", "unit"), [("xy", "m"), ([[0, 0, 0, 0, 0, 1.0]], "rad")])
+def test_a_selected_direction_of_the_tool_is_stepped_also_where_the_reference_is_turned(axes: object, unit: str) -> None:
+    q, turn = np.array([0.2, 0.9]), np.array([0, 0, 0, 0, 0, 0.4 if axes == "xy" else 0.0])
+    law, ref = L.TaskComputedTorque(64.0, kd=16.0, axes=axes, null_damping=8.0), T.ToolHold(planar().pose(q) @ exp6(turn))
+    run = step_run(view(mfc.ClosedLoop(planar(), law, ref, q_start=q)))
+    assert run.unit == unit and run.channel in ("X_vx", "X_vy", "X_wz")
+    assert_allclose(run.predicted, run.size * (1 - (1 + 8 * run.t) * np.exp(-8 * run.t)), atol=1e-3 * run.size)
+    assert run.misfit < 2e-3  # exact in both: the rest is interpolation
 
 
 def test_nothing_is_stepped_without_feedback_and_a_growing_loop_is_followed_for_a_few_time_constants() -> None:
