@@ -149,7 +149,7 @@ def compare(
 def init(
     robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A URDF file, or a robot name: see 'mfc-analysis robots'.")],
     out: Annotated[Path | None, typer.Option(help="Study file to write; default: the robot's name with .toml, in this folder.")] = None,
-    tool: Annotated[str | None, typer.Option(help="Tool link or frame; default: the last link.")] = None,
+    tool: Annotated[str | None, typer.Option(help="Tool link or frame; default: the last link. A URDF with a gripper needs it.")] = None,
     force: Annotated[bool, typer.Option(help="Overwrite an existing file.")] = False,
 ) -> None:
     """Write a commented study for a robot. It runs without changes."""

@@ -170,6 +170,23 @@ def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = Fal
     ax.legend(handles, labels, ncols=columns, fontsize=_SMALL, frameon=False, handlelength=1.4, columnspacing=0.9, handletextpad=0.4, **place)
 
 
+def without_prefix(names: Sequence[str]) -> list[str]:
+    """Names of joints without what all of them begin with, up to a separator: panda_joint1, panda_joint2 are joint1, joint2.
+
+    A number keeps the word before it (left_joint_1 is joint_1), and a prefix of up to two letters stays (q_elbow, X_e_vx).
+    """
+    out = [str(name) for name in names]
+    if len(out) < 2:
+        return out
+    common = out[0]
+    while not all(name.startswith(common) for name in out):
+        common = common[:-1]
+    cuts = [i + 1 for i, letter in enumerate(common) if letter in "_-./" and all(name[i + 1 :] for name in out)]
+    while cuts and any(name[cuts[-1]].isdigit() for name in out):
+        cuts.pop()
+    return [name[cuts[-1] :] for name in out] if cuts and sum(map(str.isalnum, common[: cuts[-1]])) > 2 else out
+
+
 def fitting(labels: Sequence[str], room: float) -> list[str]:
     """Labels of a legend in one line of ``room`` [inch]: what is common to the names of the joints is removed first, then the ends of the longest.
 
@@ -179,10 +196,8 @@ def fitting(labels: Sequence[str], room: float) -> list[str]:
     letters = int((room - 0.32 * len(out)) / 0.065)
     if sum(map(len, out)) > letters and sum(x.endswith("_joint") for x in out) > 1:
         out = [x.removesuffix("_joint") for x in out]
-    if sum(map(len, out)) > letters and len(out) > 1:
-        common = next((i for i, same in enumerate(zip(*out, strict=False)) if len(set(same)) > 1), 0)
-        start = out[0][:common].rfind("_") + 1
-        out = [x[start:] for x in out]
+    if sum(map(len, out)) > letters:
+        out = without_prefix(out)
     sizes = [len(x) for x in out]
     while sum(sizes) > letters and max(sizes) > 3:
         sizes[sizes.index(max(sizes))] -= 1

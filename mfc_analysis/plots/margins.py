@@ -58,10 +58,10 @@ def _history(ax: Axes, found: Any, metric: str, asked: float | None) -> None:
     times = np.asarray(found.times, float)
     shown, alone = np.where(np.isfinite(values), values, np.nan), times.size == 1
     across = np.arange(values.shape[1], dtype=float)[None] if alone else np.repeat(times[:, None], values.shape[1], axis=1)
-    for j, name in enumerate(found.channels):
+    for j, name in enumerate(sheet.without_prefix(found.channels)):
         if np.isnan(shown[:, j]).all():
             continue
-        ax.plot(across[:, j], shown[:, j], color=sheet.colour(j), linewidth=1.3, label=str(name), marker="o" if alone else None, markersize=4.5)
+        ax.plot(across[:, j], shown[:, j], color=sheet.colour(j), linewidth=1.3, label=name, marker="o" if alone else None, markersize=4.5)
     if asked is not None and np.isfinite(asked):
         ax.axhline(asked * (1e3 if metric == "delay" else 1.0), color=sheet.LIMIT, linewidth=1.0, linestyle="--", zorder=1.5)
     _unstable(ax, times, np.asarray(found.stable, bool))

@@ -84,10 +84,10 @@ def traces(
 
 
 def _draw(ax: Axes, time: np.ndarray, panel: Panel, names: Sequence[str], first: int) -> None:
-    values = np.asarray(panel.values, float)
+    values, labels = np.asarray(panel.values, float), sheet.without_prefix(names)
     values = values[:, None] if values.ndim == 1 else values
     for j in range(values.shape[1]):
-        ax.plot(time, values[:, j], color=sheet.colour(first + j), linewidth=1.2, label=str(names[j]) if j < len(names) else "_")
+        ax.plot(time, values[:, j], color=sheet.colour(first + j), linewidth=1.2, label=labels[j] if j < len(labels) else "_")
     if panel.beside is not None:
         other = np.asarray(panel.beside, float)
         other = other[:, None] if other.ndim == 1 else other

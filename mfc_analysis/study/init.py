@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
+from mfc_analysis.analysis.participation import listed
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import files
 from mfc_analysis.maths.arrays import Array
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 
 
 STRIDE = 0.5  #: [rad, m] longest joint motion of the first path
+
+GRIPS, FINGERS = r"gripper|finger|jaw|claw|knuckle", r"finger|jaw|claw|knuckle"  #: in names of joints, and of links at the ends of a tree
 
 BANDWIDTH = 10.0  #: [Hz] of the first gains
 
@@ -53,12 +57,13 @@ title = {title}
 
 # Joint positions at the start: {joints} [{units}].
 q_start = {q_start}
+# at = "torque"                            # analysis point of the margins; default: the plant input
+# horizon = 100.0                          # [s] of the verdict: roots slower than 1/horizon are judged by what they do within it
 
 [robot]
 {source}
 tool = {tool}  # the frame of tool references and payloads
-{locked}
-# gravity = [0, 0, -9.81]                  # in base axes
+{locked}# gravity = [0, 0, -9.81]                  # in base axes
 # friction = "none"                        # drop the URDF's joint damping; or {{viscous = 0.5, coulomb = 1.0}}
 {armature}
 # payload = {{mass = 2.0, com = [0, 0, 0.05], inertia = 0.01}}
@@ -89,7 +94,6 @@ duration = {duration}
 # axes = "z"                               # into the surface
 # preload = 5.0                            # [N] at the start
 
-# at = "torque"                            # analysis point of the margins, before any table; default: the plant input
 [times]
 stop = {duration}
 count = 51
@@ -123,7 +127,7 @@ def study_for(robot: Robot, source: str, file: str, locked: Sequence[str] = ()) 
         units="rad" if turns.all() else "m" if not turns.any() else "rad, m",
         q_start=_list(q0),
         source=source,
-        locked=_locked(locked),
+        locked=_locked(locked, robot.joint_names),
         armature=_armature(robot, q0, q1),
         model=MODEL_WITHOUT_FRICTION if friction_rules(robot, q0, q1) else MODEL,
         bandwidth=BANDWIDTH,
@@ -162,9 +166,12 @@ def first_path(robot: Robot) -> tuple[Array, Array, float]:
 def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None = None, *, overwrite: bool = False) -> Path:
     """Writes the study of a URDF file or a robot's name; returns its path.
 
-    Raises BadArgument if the file exists and ``overwrite`` is False; BadRobot or UnknownName for the robot.
+    Raises BadArgument if the file exists and ``overwrite`` is False, or if the last joints of a URDF look like a gripper and no ``tool`` is given;
+    BadRobot or UnknownName for the robot.
     """
     is_file = bool(Path(name).suffix) or Path(name).exists()
+    if is_file and tool is None:
+        _ask_for_the_tool(name)
     locked = unmoving(name, tool) if is_file else ()
     robot = _arm(name, tool, locked) if is_file else robot_named(name, tool)
     stem = Path(name).stem if is_file else name
@@ -182,6 +189,53 @@ def write(name: str, out: str | os.PathLike[str] | None = None, tool: str | None
     target.parent.mkdir(parents=True, exist_ok=True)
     files.write(target, study_for(robot, source, target.name, locked).encode("utf-8"))
     return target
+
+
+class Gripper(NamedTuple):
+    """Joints of a URDF that look like those of a gripper."""
+
+    joints: tuple[tuple[int, str], ...]  #: number among the moving joints, from 1, and name
+    link: str  #: the link that carries them
+
+
+def gripper(urdf: str | os.PathLike[str]) -> Gripper | None:
+    """The gripper of a URDF, by the names of its moving joints and, at the ends of the tree, of the links they move; None: it has none."""
+    from mfc_analysis.robots.urdf import checked_urdf, read_urdf
+
+    joints = ElementTree.fromstring(checked_urdf(read_urdf(Path(urdf))).text).findall("joint")
+    moving = [j for j in joints if j.get("type") != "fixed"]
+    parents = {_link(j, "parent") for j in moving}
+
+    def grips(joint: ElementTree.Element) -> bool:
+        child = _link(joint, "child")
+        return bool(re.search(GRIPS, str(joint.get("name")).lower()) or (child not in parents and re.search(FINGERS, child.lower())))
+
+    found = [j for j in moving if grips(j)]
+    if not found or len(found) == len(moving):
+        return None
+    moved = {_link(j, "child") for j in found}
+    above = {_link(j, "child"): _link(j, "parent") for j in joints}
+    link = _link(found[0], "parent")
+    while link in above and _carried_by(link, moved, above):
+        link = above[link]
+    return Gripper(tuple((moving.index(j) + 1, str(j.get("name"))) for j in found), link)
+
+
+def _carried_by(link: str, moved: set[str], above: dict[str, str]) -> bool:
+    """Whether a joint of the gripper moves this link."""
+    while link not in moved and link in above:
+        link = above[link]
+    return link in moved
+
+
+def _ask_for_the_tool(urdf: str) -> None:
+    """Raises BadArgument where a URDF has a gripper: its joints belong to the arm or not, which only the tool tells."""
+    found = gripper(urdf)
+    if found is None:
+        return
+    names = listed([f"joint {number} ({name})" for number, name in found.joints])
+    said = f"{names} {'looks' if len(found.joints) == 1 else 'look'} like a gripper; you may mean --tool {found.link}"
+    raise BadArgument("--tool", None, f"a link or frame of the arm, and locks the joints that do not move it. {said}")
 
 
 def unmoving(urdf: str | os.PathLike[str], tool: str | None) -> tuple[str, ...]:
@@ -213,16 +267,22 @@ def _arm(urdf: str, tool: str | None, locked: Sequence[str]) -> Robot:
 
 
 def _armature(robot: Robot, q0: Array, q1: Array) -> str:
-    """The key for the rotor inertia, after what the model lacks along the path."""
-    key = "# armature = 0.3                           # rotor inertia times gear ratio squared, one number or one for each joint [kg m^2, kg]"
+    """The key for the rotor inertia, with what it is for, after what the model lacks along the path."""
+    said = (
+        "# The motors' inertia at the joints, rotor inertia times gear ratio squared: a URDF rarely has it. Without it the coupling of joints is\n"
+        "# too strong, and independent-joint gains look worse than they are.\n"
+    )
+    key = "# armature = 0.3                           # one number or one for each joint [kg m^2, kg]"
     lacking = lacks_armature(robot, np.linspace(q0, q1, 21))
-    return f"# {_comment(lacking)}.\n{key}" if lacking else key
+    return f"{said}# {_comment(lacking)}.\n{key}" if lacking else said + key
 
 
-def _locked(names: Sequence[str]) -> str:
+def _locked(names: Sequence[str], joints: Sequence[str]) -> str:
     if names:
-        return f"locked = {json.dumps(list(names))}  # locked at 0; or {{ name = 0.04 }}"
-    return '# locked = ["finger_joint1"]               # joints to lock, at 0; or { finger_joint1 = 0.04 }'
+        return f"locked = {json.dumps(list(names))}  # locked at 0; or {{ name = 0.04 }}\n"
+    if len(joints) == 1:
+        return ""
+    return f"# locked = {json.dumps(list(joints[-1:]))}  # joints to lock, at 0; then q_start and q1 have no number for them\n"
 
 
 def _list(values: Array) -> str:

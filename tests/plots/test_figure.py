@@ -123,6 +123,16 @@ def test_what_is_common_to_all_names_goes_first():
     assert sheet.fitting([f"panda_joint{k}" for k in range(1, 8)], 5.7) == [f"joint{k}" for k in range(1, 8)]
 
 
+@pytest.mark.parametrize(("names", "found"), [
+    (("panda_joint1", "panda_joint2"), ["joint1", "joint2"]), (("left_joint_1", "left_joint_2"), ["joint_1", "joint_2"]),
+    (("arm_shoulder_pan", "arm_shoulder_lift"), ["pan", "lift"]), (("q_elbow", "q_wrist"), ["q_elbow", "q_wrist"]),
+    (("X_e_vx", "X_e_vy"), ["X_e_vx", "X_e_vy"]), (("elbow_1", "elbow_2"), ["elbow_1", "elbow_2"]), (("arm_elbow",), ["arm_elbow"]),
+    (("arm_", "arm_x"), ["arm_", "arm_x"]), (("shoulder", "elbow"), ["shoulder", "elbow"]), ((), []),
+])  # fmt: skip
+def test_what_all_joints_begin_with_is_left_out_of_a_picture(names, found):
+    assert sheet.without_prefix(names) == found
+
+
 def test_a_shortened_legend_tells_its_joints_apart():
     names = [f"L{part}{axis}" for part in ("Shoulder", "Elbow", "Wrist") for axis in ("Roll", "Pitch", "Yaw")]
     found = sheet.fitting(names, 6.2)

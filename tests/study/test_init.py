@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 import warnings
 
@@ -12,7 +13,7 @@ import mfc_analysis as mfc
 from mfc_analysis import robots
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.study.check import check
-from mfc_analysis.study.init import STRIDE, first_path, friction_rules, study_for, unmoving, write
+from mfc_analysis.study.init import STRIDE, first_path, friction_rules, gripper, study_for, unmoving, write
 from mfc_analysis.study.read import read
 from mfc_analysis.trajectories import Quintic
 from tests.conftest import arm
@@ -24,6 +25,11 @@ FINGER = """<joint name="f{0}" type="prismatic"><parent link="hand"/><child link
 <limit lower="0" upper="0.04" effort="5" velocity="1"/></joint>
 <link name="finger{0}"><inertial><mass value="0.01"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
 MIMIC = TWO_LINKS.replace("</robot>", FINGER.format(1, "") + FINGER.format(2, '<mimic joint="f1"/>') + "</robot>")
+ONE_JAW = TWO_LINKS.replace("</robot>", FINGER.format(1, "").replace('"f1"', '"gripper"') + "</robot>")
+CARRIED = TWO_LINKS.replace(
+    "</robot>",
+    FINGER.format(1, "").replace('"f1"', '"gripper_base"') + FINGER.format(2, "").replace('parent link="hand"', 'parent link="finger1"') + "</robot>",
+)
 TWO_FINGERS = MIMIC.replace('<mimic joint="f1"/>', "")
 
 
@@ -64,9 +70,58 @@ def test_a_study_with_locked_joints_names_them_and_runs(tmp_path):
 
 
 def test_a_tool_that_is_not_plain_is_asked_for_with_what_it_could_be(tmp_path):
+    forked = TWO_FINGERS.replace('"finger', '"branch')
     with pytest.raises(BadArgument) as why:
-        write(str(file(tmp_path, TWO_FINGERS)), tmp_path / "s.toml")
-    assert why.value.argument == "--tool" and "'finger1', 'finger2'" in why.value.takes and not (tmp_path / "s.toml").exists()
+        write(str(file(tmp_path, forked)), tmp_path / "s.toml")
+    assert why.value.argument == "--tool" and "'branch1', 'branch2'" in why.value.takes and not (tmp_path / "s.toml").exists()
+
+
+@pytest.mark.parametrize(("text", "joints"), [(MIMIC, "joint 3 (f1) and joint 4 (f2) look"), (ONE_JAW, "joint 3 (gripper) looks")])
+def test_a_gripper_is_found_and_the_tool_asked_for(tmp_path, text, joints):
+    path = file(tmp_path, text)
+    with pytest.raises(BadArgument) as why:
+        write(str(path), tmp_path / "s.toml")
+    assert why.value.argument == "--tool" and not (tmp_path / "s.toml").exists()
+    assert f"{joints} like a gripper; you may mean --tool hand" in why.value.takes
+    for tool in ("hand", "finger1"):  # an answer is taken, the finger too
+        assert read(write(str(path), tmp_path / "s.toml", tool, overwrite=True)).loops[0].loop.robot.tool == tool
+
+
+def test_an_arm_without_fingers_has_no_gripper(tmp_path):
+    assert gripper(file(tmp_path, TWO_LINKS)) is None and gripper(file(tmp_path, robots.catalogue.ur5_urdf())) is None
+    assert gripper(file(tmp_path, TWO_LINKS.replace('"hand"', '"gripper"'))) is None  # the last link of the arm, by its name
+    assert gripper(file(tmp_path, MIMIC)) == (((3, "f1"), (4, "f2")), "hand")
+    assert gripper(file(tmp_path, CARRIED)).link == "hand"  # not the first link of the gripper itself
+
+
+#: keys of the template that change what q_start means, or that need another law
+OF_OTHERS = ("locked",)
+
+
+@pytest.mark.parametrize("robot", ["ur5", "single_joint", "rp"])
+def test_every_key_of_the_template_stands_where_it_can(tmp_path, robot):
+    """Each commented key, without its comment mark and with the table it stands under, gives a study that can be read and built."""
+    lines = write(robot, tmp_path / "s.toml").read_text().splitlines()
+    keys, table = 0, None
+    for i, line in enumerate(lines):
+        if match := re.match(r"(# )?\[(\w+)\]", line):
+            table = i if match[1] else None
+        key = re.match(r"# (\w+) = ", line)
+        if not key or key[1] in OF_OTHERS:
+            continue
+        keys += 1
+        text = [x[2:] if j in (i, table) or (table is not None and re.match(r"# stiffness|# payload = \[", x) and j == table + 1) else x
+                for j, x in enumerate(lines)]  # fmt: skip
+        (tmp_path / "one.toml").write_text("\n".join(text))
+        loop = read(tmp_path / "one.toml").loops[0]
+        assert loop.loop.law is not None and loop.requirements is not None
+    assert keys >= 15
+    locked = [line for line in lines if line.startswith("# locked")]
+    assert len(locked) == (robot != "single_joint") and all(f'"{arm_joints(robot)[-1]}"' in line for line in locked)
+
+
+def arm_joints(robot):
+    return getattr(mfc.robots, robot)().joint_names
 
 
 def test_an_arm_without_rotor_inertia_has_that_beside_the_key_for_it(tmp_path):
