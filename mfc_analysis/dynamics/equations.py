@@ -295,8 +295,10 @@ class Equations:
             return Contact(np.zeros((*value(s["q"]).shape[:-1], 6)), (), ())
         return contact(self.surfaces, self.plant, s["q"], s["v"], lose_contact=lose_contact)
 
-    def control(self, t: float | Array, s: Mapping[str, Vector], F: Vector, wires: Tap, inputs: Inputs) -> tuple[Action, dict[str, Vector]]:
-        """Sensors, filters and the law: its action, and the rates of the controller's states."""
+    def control(
+        self, t: float | Array, s: Mapping[str, Vector], F: Vector, wires: Tap, inputs: Inputs, *, unwind: bool = True
+    ) -> tuple[Action, dict[str, Vector]]:
+        """Sensors, filters and the law: its action, and the rates of the controller's states (without those of anti-windup unless ``unwind``)."""
         ref = self.reference(t, inputs)
         rates: dict[str, Vector] = {}
         joints = self.joints
@@ -314,8 +316,12 @@ class Equations:
             if self.hardware.force_filter is not None:
                 rates["F_filter"] = (measured - s["F_filter"]) * (1 / float(self.hardware.force_filter))
                 measured = s["F_filter"]
-        action = self.law.act(self.controller, Measured(q, v, measured, s), ref, wires)
+        now = Measured(q, v, measured, s)
+        action = self.law.act(self.controller, now, ref, wires)
         rates.update(action.rates)
+        if unwind and self.law.anti_windup is not None and joints.torque_limit is not None:
+            lost = self.limited(action.command) - action.command
+            rates["z"] = rates["z"] + self.law.unwinding(self.controller, now, ref, lost)
         return action, rates
 
     def move(self, s: Mapping[str, Vector], command: Vector, F: Vector, disturbance: Vector) -> dict[str, Vector]:
@@ -436,6 +442,9 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
     elif hardware.velocity_lag is not None:
         takes = f"a law with velocity inputs (9.1-9.5); {name} commands torques: use torque_lag"
         raise Unsupported("hardware.velocity_lag", hardware.velocity_lag, takes)
+    if law.anti_windup is not None and hardware.sample_time and law.anti_windup < hardware.sample_time:
+        takes = f"at least the sample time of {hardware.sample_time:g} s: the integral is taken back once per sample"
+        raise Unsupported("law.anti_windup", law.anti_windup, takes)
     if not law.senses_force:
         for field_ in ("force_delay", "force_filter"):
             if getattr(hardware, field_) is not None:

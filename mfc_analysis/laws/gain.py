@@ -34,6 +34,7 @@ class Gain:
             raise BadArgument(name, f"shape {self.array.shape}", "a scalar, a vector or a square matrix")
 
         self._factor = None if self.array is None or self.array.ndim == 2 else self.array
+        self._inverses: dict[int, Array] = {}
 
     # --- as a field of a law -------------------------------------------------------------------------------------
 
@@ -76,6 +77,12 @@ class Gain:
         if self.array is None:
             return np.zeros((size, size))
         return self.array if self.array.ndim == 2 else np.diag(np.broadcast_to(self.array, (size,)))
+
+    def inverse(self, size: int) -> Array:
+        """(size, size) pseudo-inverse of ``matrix``: 0 for directions on which it does not act."""
+        if size not in self._inverses:
+            self._inverses[size] = np.asarray(np.linalg.pinv(self.matrix(size)), float)
+        return self._inverses[size]
 
     def diagonal(self, size: int) -> Array:
         """Its diagonal, (size,): the gains of independent joints."""

@@ -24,6 +24,9 @@ class JointPID(JointLaw):
 
     Args:
         kp: [Nm/rad], ki: [Nm/(rad s)], kd: [Nm s/rad]; scalar, (n,) or (n, n); None: no such term.
+        anti_windup: T [s]. Where a torque limit of the hardware cuts the torque, the integral is taken back by back-calculation:
+            z' = e + Ki^-1 lost / T, lost = sat(tau) - tau. None: the integral winds up. Without saturation it does nothing, and so it does
+            nothing in the linear model of a loop whose torques do not saturate.
 
     Closed form on one joint about th0: I s^3 + (b + kd) s^2 + (kp - m g r sin th0) s + ki; stable iff all coefficients are
     positive and ki < (b + kd)(kp - m g r sin th0)/I.
@@ -32,9 +35,17 @@ class JointPID(JointLaw):
     kp: Gain
     ki: Gain = Gain()
     kd: Gain = Gain()
+    anti_windup: float | None = None
     equation = "9.8"
     typst = "tau = K_p e + K_i integral e dif t + K_d dot(e)"
     units = {"kp": "Nm/rad", "ki": "Nm/(rad s)", "kd": "Nm s/rad"}
+
+    def __post_init__(self) -> None:
+        self.check_anti_windup()
+
+    def lost_command(self, model: Primitives, now: Measured, ref: JointReference, lost: Vector) -> Vector:
+        """The torque itself."""
+        return lost
 
     def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """tau = Kp e + Ki z + Kd e'."""
@@ -84,6 +95,9 @@ class ComputedTorque(JointLaw):
     Args:
         kp: [1/s^2], ki: [1/s^3], kd: [1/s]; scalar, (n,) or (n, n).
         mass: a constant (n, n) matrix [kg m^2] instead of M^(q): the decentralised case when it is diagonal.
+        anti_windup: T [s]. Where a torque limit of the hardware cuts the torque, the integral is taken back by back-calculation:
+            z' = e + Ki^-1 M^^-1 lost / T, lost = sat(tau) - tau. None: the integral winds up. Without saturation it does nothing, and so it does
+            nothing in the linear model of a loop whose torques do not saturate.
 
     Sources: chapter, eq. 9.10, 9.12; Lynch & Park, Modern Robotics, ch. 11.
     """
@@ -93,6 +107,7 @@ class ComputedTorque(JointLaw):
     kd: Gain = Gain()
     form: Literal["standard", "printed"] = "standard"
     mass: ArrayLike | None = None
+    anti_windup: float | None = None
     equation = "9.10"
     opens_at = ("torque", "command", "position")
     forms = ("standard", "printed")
@@ -103,6 +118,11 @@ class ComputedTorque(JointLaw):
         checks.choice("form", self.form, self.forms)
         if self.mass is not None:
             object.__setattr__(self, "mass", mass_matrix(self.mass))
+        self.check_anti_windup()
+
+    def lost_command(self, model: Primitives, now: Measured, ref: JointReference, lost: Vector) -> Vector:
+        """M^^-1 lost."""
+        return acceleration_of(model, now.q, lost, self.mass)
 
     def check(self, n: int) -> None:
         """Raise BadArgument unless gains and mass fit n joints."""
@@ -253,6 +273,11 @@ def mass_matrix(given: ArrayLike) -> Array:
     if M.ndim != 2 or M.shape[0] != M.shape[1] or np.abs(M - M.T).max() > 1e-9 * np.abs(M).max() or np.linalg.eigvalsh(M)[0] <= 0:
         raise BadArgument("mass", given, takes)
     return M
+
+
+def acceleration_of(model: Primitives, q: Vector, tau: Vector, mass: ArrayLike | None) -> Vector:
+    """(..., n) M^^-1 tau by the controller's model, or by its constant mass matrix."""
+    return model.solve_mass(q, tau) if mass is None else matvec(np.asarray(np.linalg.inv(np.asarray(mass)), float), tau)
 
 
 def check_mass(mass: ArrayLike | None, n: int) -> None:

@@ -20,9 +20,10 @@ import numpy as np
 
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.laws.gain import Gain
+from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.axes import TWIST as TWIST
-from mfc_analysis.maths.dual import Vector
+from mfc_analysis.maths.dual import Vector, matvec
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.robots.tool_task import Selection, ToolTask, tool_task
@@ -117,6 +118,7 @@ class Law(ABC):
     units: ClassVar[Mapping[str, str]] = {}  #: gain -> unit
     damping: float = 0.0  #: [-] of the inverse of J, where the law has one; 0: raises NearSingular near a singularity
     selection: Selection | None = None  #: the directions that a tool law controls; None: all six
+    anti_windup: float | None = None  #: [s] time constant of back-calculation where a torque saturates, of laws that have it; None: none
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -128,6 +130,24 @@ class Law(ABC):
     @abstractmethod
     def act(self, model: Primitives, now: Measured, ref: Any, tap: Tap) -> Action:
         """The law: command, rates of its states and error, from the controller's model and the measured signals."""
+
+    def lost_command(self, model: Primitives, now: Measured, ref: Any, lost: Vector) -> Vector:
+        """(..., k) what a change of the torque by ``lost`` (..., n) takes from Kp e + Ki z + Kd e', by the controller's model."""
+        raise Unsupported("anti_windup", type(self).__name__, "a law with an integral in its torque (9.8, 9.10, 9.16)")
+
+    def unwinding(self, model: Primitives, now: Measured, ref: Any, lost: Vector) -> Vector:
+        """The part of z' that takes the integral back where the actuators cut ``lost`` (..., n) from the torque: Ki^-1 lost / T."""
+        assert self.anti_windup is not None
+        size = len(self.error_channels(model.robot.joint_names))
+        back = self.gains()["ki"].inverse(size) / self.anti_windup
+        return matvec(back, self.lost_command(model, now, ref, lost))
+
+    def check_anti_windup(self) -> None:
+        """For ``__post_init__``: raises BadArgument unless ``anti_windup`` is None or positive, with an integral to act on."""
+        if self.anti_windup is not None:
+            checks.number("anti_windup", self.anti_windup, low=0.0, strict=True)
+            if not self.gains().get("ki"):
+                raise BadArgument("anti_windup", self.anti_windup, "a gain ki beside it: there is no integral here")
 
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
         """The states of the law, for an arm with these joints."""
@@ -205,6 +225,8 @@ class Law(ABC):
         usual = {f.name: f.default for f in fields(self)}  # type: ignore[arg-type]
         if self.selection is not None:
             choices["axes"] = self.selection.axes if isinstance(self.selection.axes, str) else self.selection.rows.tolist()
+        if self.anti_windup is not None:
+            choices["anti_windup"] = self.anti_windup
         shown = ", ".join([gains] * bool(gains) + [f"{name}={chosen!r}" for name, chosen in choices.items() if chosen != usual[name]])
         return f"{type(self).__name__}({shown}) [eq. {self.equation}]"
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.laws.gain import Gain
-from mfc_analysis.laws.joint_torque import check_mass, mass_matrix
+from mfc_analysis.laws.joint_torque import acceleration_of, check_mass, mass_matrix
 from mfc_analysis.laws.law import Action, Measured, Tap, ToolLaw, ToolReference, define
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.dual import Vector, matvec
@@ -52,6 +52,9 @@ class TaskComputedTorque(ToolLaw):
         axes: the directions of the tool that are controlled, None: all six. "xyz", "xyzrz", or orthonormal rows S (k, 6) that select components
             of the twist V_b and of X_e, (linear, angular) in the tool frame; k is at most the number of joints. Rows without rotations control the
             position alone, X_e = S R^T (p_d - p), whatever the orientation. Of fewer than six directions V_e is the rate of X_e.
+        anti_windup: T [s]. Where a torque limit of the hardware cuts the torque, the integral is taken back by back-calculation:
+            z' = X_e + Ki^-1 J M^^-1 lost / T, lost = sat(tau) - tau. None: the integral winds up. Without saturation it does nothing, and so it does
+            nothing in the linear model of a loop whose torques do not saturate.
 
     With ``damping`` the inverse of J is J^T (J J^T + damping^2)^-1; in the dynamic form of a redundant arm Lambda^ is
     (J M^^-1 J^T + damping^2 n / trace(M^))^-1, which is the same where M^ is a multiple of 1 and does not change if the arm is heavier by a factor.
@@ -70,6 +73,7 @@ class TaskComputedTorque(ToolLaw):
     damping: float = 0.0
     inverse: Literal["dynamic", "euclidean"] = "dynamic"
     axes: Any = None
+    anti_windup: float | None = None
     equation = "9.16"
     opens_at = ("torque", "command", "position")
     forms = ("standard", "printed")
@@ -84,6 +88,12 @@ class TaskComputedTorque(ToolLaw):
         if self.mass is not None:
             object.__setattr__(self, "mass", mass_matrix(self.mass))
         self.select()
+        self.check_anti_windup()
+
+    def lost_command(self, model: Primitives, now: Measured, ref: ToolReference, lost: Vector) -> Vector:
+        """J M^^-1 lost: the acceleration of the tool that is lost."""
+        a = acceleration_of(model, now.q, lost, self.mass)
+        return self.task(model, now.q, ref).through(model.jacobian(now.q, a))
 
     def check(self, n: int) -> None:
         """Raise BadArgument unless gains (6, or one for each selected direction) and mass (n, n) fit."""

@@ -90,7 +90,7 @@ def own_matrix(e: Equations, t: float, x0: Array) -> Array:
     own = np.setdiff1d(np.arange(e.nx), np.array(e.plant_states, int))
     tangent = np.zeros((*x0.shape, own.size))
     tangent[..., own, np.arange(own.size)] = 1.0
-    _, rates = e.control(np.full(x0.shape[:-1], t), e.split(Dual(x0, tangent)), value(e.touch(e.split(x0)).wrench), Wires(), Inputs())
+    _, rates = e.control(np.full(x0.shape[:-1], t), e.split(Dual(x0, tangent)), value(e.touch(e.split(x0)).wrench), Wires(), Inputs(), unwind=False)
     A = np.zeros((*x0.shape, own.size))
     for name, rate in rates.items():
         if isinstance(rate, Dual):

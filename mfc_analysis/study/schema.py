@@ -182,6 +182,7 @@ class LawTable(Table):
     damping: Number | None = None
     null_damping: Number | None = None
     inverse: str | None = None
+    anti_windup: Number | None = None  #: [s]
     axes: Directions | None = None  #: "xyz", "xyzrz", or (k, 6) orthonormal rows
     F_d: Vector | None = None
     kfp: Values | None = None

@@ -271,6 +271,14 @@ def test_the_directions_of_a_tool_law_are_a_key():
         assert why.value.key == "law.axes"
 
 
+def test_the_anti_windup_of_a_law_is_a_key():
+    law = {"equation": "9.10", "kp": 100.0, "ki": 50.0, "kd": 20.0, "anti_windup": 0.05}
+    assert parts(law=law).law.anti_windup == 0.05 and parts(law={**law, "equation": "9.8"}).law.anti_windup == 0.05
+    with pytest.raises(StudyError, match="a gain ki") as why:
+        _ = parts(law={key: value for key, value in law.items() if key != "ki"}).law
+    assert why.value.key == "law.anti_windup"
+
+
 def test_joints_follow_the_directions_of_a_tool_path_that_a_study_names(tmp_path):
     text = f"""q_start = {Q}
     [robot]

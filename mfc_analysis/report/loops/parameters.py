@@ -100,6 +100,8 @@ def parameters(view: View) -> tuple[Block, ...]:
     facts = [("robot", robot_words(view)), ("controller's model", model_words(view)), ("reference", reference_words(view))]
     if law.selection is not None:
         facts.append(("controlled directions", directions_words(law.selection.axes)))
+    if law.anti_windup is not None:
+        facts.append(("anti-windup", f"back-calculation in {written(float(law.anti_windup), exact=True)} s where a torque saturates"))
     hardware = view.loop.equations.hardware
     for field in fields(hardware):
         given = getattr(hardware, field.name)

@@ -32,6 +32,11 @@ def test_every_piece_of_hardware_is_told_with_its_number() -> None:
     assert all(f"{value:g} N" in cells(pushing()) for value in (1000.0, PUSH[2]))
 
 
+def test_anti_windup_is_told() -> None:
+    law = L.JointPID(50.0, 20.0, 10.0, anti_windup=0.037)
+    assert "0.037 s" in cells(view(mfc.ClosedLoop(joint(), law, T.Hold([0.3]))))
+
+
 def test_selected_directions_are_told() -> None:
     q = np.array([0.2, 0.4])
     for axes, said in (("xy", "xy of the tool frame"), ([[0.6, 0.8, 0, 0, 0, 0]], "rows (0.6, 0.8, 0, 0, 0, 0)")):
