@@ -335,13 +335,19 @@ class Equations:
             rates["q"] = drive + disturbance
             return rates
         if springs is not None:
-            spring = (s["theta"] - s["q"]) * springs.stiffness + (s["omega"] - s["v"]) * springs.damping
+            spring = self._spring(s)
             rates["theta"] = s["omega"]
             rates["omega"] = (drive - spring) * (1 / springs.motor_inertia)
             drive = spring
         rates["q"] = s["v"]
         rates["v"] = self.plant.aba(s["q"], s["v"], self._net(s, drive, F, disturbance))
         return rates
+
+    def _spring(self, s: Mapping[str, Vector]) -> Vector:
+        """Torque of the elastic joints on the links."""
+        springs = self.joints.springs
+        assert springs is not None
+        return (s["theta"] - s["q"]) * springs.stiffness + (s["omega"] - s["v"]) * springs.damping
 
     def _net(self, s: Mapping[str, Vector], drive: Vector, F: Vector, disturbance: Vector) -> Vector:
         """Net torque M q'' + C v + g: drive + disturbance - friction - J^T F_tip."""
@@ -362,19 +368,33 @@ class Equations:
     def _with_measured_acceleration(
         self, t: float | Array, s: Mapping[str, Vector], command: Vector, F: Vector, inputs: Inputs, wires: Wires
     ) -> Vector:
-        """tau = command - E q'', E q'' the law's ``acceleration_torque``, with q'' of the plant under this same torque tau."""
-        law, ref, disturbance = self.law, self.reference(t, inputs), inputs.disturbance
-        disturbance = 0.0 if disturbance is None else disturbance
+        """tau = command - E a, E a the law's ``acceleration_torque``, with the acceleration a of the joint, or of the motor that has the encoder,
+        under this same torque tau.
+        """
+        law, ref, springs = self.law, self.reference(t, inputs), self.joints.springs
+        disturbance = 0.0 if inputs.disturbance is None else inputs.disturbance
         assert isinstance(ref, JointReference)
-        if "lag" in s or wires.cuts("torque"):
-            drive = s["lag"] if "lag" in s else wires.inputs["torque"]
-            a = self.plant.aba(s["q"], s["v"], self._net(s, drive, F, disturbance))
+        spring = None if springs is None else self._spring(s)
+        link = springs is not None and not springs.motor_encoder  # its acceleration is that of the spring, whatever tau
+        if link or "lag" in s or wires.cuts("torque"):
+            drive = spring if link else s["lag"] if "lag" in s else wires.inputs["torque"]
+            assert drive is not None
+            if springs is None or link:
+                a = self.plant.aba(s["q"], s["v"], self._net(s, drive, F, disturbance))
+            else:
+                assert spring is not None
+                a = (drive - spring) * (1 / springs.motor_inertia)
             return wires("torque", command - law.acceleration_torque(self.controller, ref, a))
         if isinstance(s["q"], Dual):
             raise TypeError("a law that needs the acceleration is linearised with its torque wire cut")
-        rest = self._net(s, command, F, disturbance) - self.plant.rnea(s["q"], s["v"], np.zeros(self.n))
+        if springs is None:
+            rest = self._net(s, command, F, disturbance) - self.plant.rnea(s["q"], s["v"], np.zeros(self.n))
+            inertia = self.plant.at(value(s["q"])).M
+        else:
+            assert spring is not None
+            rest, inertia = command - spring, np.diag(springs.motor_inertia)
         E = np.stack([value(law.acceleration_torque(self.controller, ref, one)) for one in np.eye(self.n)], axis=-1)
-        a = np.asarray(np.linalg.solve(self.plant.at(value(s["q"])).M + E, value(rest)[..., None])[..., 0], float)
+        a = np.asarray(np.linalg.solve(inertia + E, value(rest)[..., None])[..., 0], float)
         return command - law.acceleration_torque(self.controller, ref, a)
 
     def signals(self, t: float | Array, x: Vector, inputs: Inputs, *, lose_contact: LoseContact = False) -> Flow:
@@ -449,8 +469,8 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
         for field_ in ("force_delay", "force_filter"):
             if getattr(hardware, field_) is not None:
                 raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), f"a law that measures the force (9.22-9.24); {name} does not")
-    if law.needs_acceleration and (hardware.delay is not None or hardware.sample_time is not None or hardware.elastic):
-        takes = f"no delay, sample_time or elastic joints for {name} in this form: its algebraic loop is solved with q'' at the same instant"
+    if law.needs_acceleration and (hardware.delay is not None or hardware.sample_time is not None):
+        takes = f"no delay or sample_time for {name} in this form: its algebraic loop is solved with q'' at the same instant"
         raise Unsupported("hardware", hardware, takes)
 
 

@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 from scipy.special import lambertw
 
 from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.dynamics.equations import NO_INPUTS, uncut
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument, Unsupported
+from mfc_analysis.laws.law import Measured
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.dual import value
 from mfc_analysis.trajectories import Hold
-from tests.conftest import Case, arm, loop_of, moving, named, plant, regular_pose
+from tests.conftest import LAWS, Case, arm, loop_of, moving, named, plant, regular_pose, seed
 
 FEW = settings(max_examples=15, deadline=None)
 TIMES = np.array([0.1, 0.7])
@@ -133,6 +137,40 @@ def test_an_arm_with_stiff_joints_is_the_rigid_arm_with_armature() -> None:
     slow = stiff.poles()[0][:18]
     far = [np.abs(slow - p).min() for p in rigid.poles()[0]]
     assert max(far) < 1e-3
+
+
+@pytest.mark.parametrize("case", [c for c in LAWS if c.law(6).plant == "torque" and not c.law(6).needs_acceleration], ids=str)
+def test_every_law_sees_the_encoder_that_feedback_names(case: Case) -> None:
+    """The torque of the loop is that of the law at (theta, omega) or at (q, v), where the two differ."""
+    rng = seed("encoder", case.name)
+    for feedback, places in (("motor", ("theta", "omega")), ("link", ("q", "v"))):
+        loop = loop_of(case, "ur5", hardware=Hardware(joint_stiffness=2e3, motor_inertia=0.3, feedback=feedback))
+        e = loop.equations
+        x = loop.linearize(TIMES[:1]).point.x[0]
+        s = e.split(x + 0.02 * rng.normal(size=x.shape))
+        F = rng.normal(size=6)
+        action, _ = e.control(0.1, s, F, uncut, NO_INPUTS)
+        now = Measured(*(s[name] for name in places), F if e.law.senses_force else np.zeros(6), s)
+        assert np.array_equal(value(action.command), value(e.law.act(e.controller, now, e.reference(0.1), uncut).command))
+
+
+@pytest.mark.parametrize("lag", [None, 0.02])
+def test_feedforward_as_printed_has_the_acceleration_of_its_encoder(lag: float | None) -> None:
+    """A mass m with m^ a of the link, B th'' + K (th - q) = m^ (a_d - q''), or of the motor, (B + m^) th'' + K (th - q) = m^ a_d."""
+    m, m_hat, K, B = 2.0, 0.7, 500.0, 0.3
+    for feedback in ("motor", "link"):
+        hardware = Hardware(joint_stiffness=K, motor_inertia=B, feedback=feedback, torque_lag=lag)
+        law = L.TorqueFeedforward("printed")
+        loop = ClosedLoop(robots.slider(mass=m), law, Hold([0.1]), controller_model=robots.slider(mass=m_hat), hardware=hardware)
+        late = [1.0] if lag is None else [lag, 1.0]
+        motor = np.polyadd(np.polymul(late, [B, 0, K]), [m_hat, 0, 0] if feedback == "motor" else [0.0])
+        link = np.polyadd([m, 0, K], [0.0])
+        coupled = np.polymul(late, [K]) if feedback == "motor" else np.polyadd(np.polymul(late, [K]), [-m_hat, 0, 0])
+        close(loop.linearize([0.0]).A[0], np.polymul(motor, link), -np.polymul(coupled, [K]))
+        run = loop.simulate(0.3, q=[0.12], v=[0.0], rtol=1e-9, atol=1e-11)
+        x0 = run.x[0] - loop.linearize([0.0]).point.x[0]
+        want = loop.linearize([0.0]).point.x[0] + expm(0.3 * loop.linearize([0.0]).A[0]) @ x0  # the loop is linear
+        assert_allclose(run.x[-1], want, atol=1e-7)
 
 
 def test_the_residual_of_an_elastic_joint_is_that_of_the_rigid_one() -> None:

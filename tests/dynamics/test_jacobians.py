@@ -86,7 +86,7 @@ def test_the_jacobian_of_both_inverses_of_a_redundant_arm_is_exact_at_other_pose
     Hardware(joint_stiffness=2e3, motor_inertia=0.3, feedback="link"),
     Hardware(joint_stiffness=2e3, motor_inertia=0.3, joint_damping=4.0, torque_lag=5e-3, velocity_filter=2e-3, torque_limit=1e4),
 ], ids=["lag and filter", "elastic", "all of them"])  # fmt: skip
-@pytest.mark.parametrize("case", named("9.8", "9.10 printed", "9.11 LTI", "9.16 standard", "9.23", "9.24 dynamic standard"), ids=str)
+@pytest.mark.parametrize("case", named("9.8", "9.9 printed", "9.10 printed", "9.11 LTI", "9.16 standard", "9.23", "9.24 dynamic standard"), ids=str)
 def test_the_jacobian_stays_exact_behind_hardware(case: Case, hardware: Hardware) -> None:
     if case.law(6).senses_force:
         hardware = Hardware(**{**vars(hardware), "force_filter": 2e-3})
