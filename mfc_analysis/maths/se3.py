@@ -247,7 +247,8 @@ def _series() -> tuple[Array, Array]:
     """A and B of ``_coefficients`` as polynomials in theta^2, highest power first, exact to rounding up to an angle of pi."""
     whole = np.concatenate([_A, _FAR])
     k = np.arange(1, whole.size + 1)
-    return ((2 - k) * whole)[::-1], ((1 - k) * whole)[:0:-1]
+    a, b = (np.asarray((j - k) * whole, float) for j in (2, 1))
+    return a[::-1], b[:0:-1]
 
 
 def _polynomial(p: Array) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:

@@ -179,7 +179,7 @@ class SelectedTask(ToolTask):
 
     def reference_twists(self) -> Array:
         """(..., 6, k) body twists of X_d that move the error by 1 each, plain."""
-        return self.S.T
+        return np.broadcast_to(self.S.T, (*self.E.p.shape[:-1], *self.S.T.shape))
 
     def wrench(self, f: Vector) -> Vector:
         """T^T f (..., 6)."""
@@ -339,7 +339,7 @@ class PartialTask(SelectedTask):
 
     def reference_twists(self) -> Array:
         """(..., 6, k)."""
-        return np.asarray(np.linalg.solve(Jlog6(value(self._whole)), np.broadcast_to(self.S.T, (*self.E.p.shape[:-1], *self.S.T.shape))))
+        return np.asarray(np.linalg.solve(Jlog6(value(self._whole)), super().reference_twists()), float)
 
     def wrench(self, f: Vector) -> Vector:
         """T^T f."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfc_analysis.analysis.system import signals
-from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, reference_channels
+from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, reference_channels, reference_moves
 from mfc_analysis.dynamics.jacobians import external
 from mfc_analysis.errors import MfcWarning, Unsupported
 from mfc_analysis.maths.arrays import Array
@@ -30,12 +30,13 @@ def nonlinear_system(e: Equations) -> NonlinearIOSystem:
     names = external(e)
 
     def rates(t: float, x: Array, u: Array, params: Any) -> Array:
-        flow = e.flow(t, np.asarray(x, float), None, _inputs(e, u), lose_contact=True)
+        state = np.asarray(x, float)
+        flow = e.flow(t, state, None, _inputs(e, t, state, u), lose_contact=True)
         return np.asarray(value(e.join(flow.rates)), float)
 
     def outputs(t: float, x: Array, u: Array, params: Any) -> Array:
         state, wires = np.asarray(x, float), Wires()
-        flow = e.flow(t, state, wires, _inputs(e, u), lose_contact=True)
+        flow = e.flow(t, state, wires, _inputs(e, t, state, u), lose_contact=True)
         found = [state[e.parts["q"].where], value(flow.error), np.broadcast_to(value(wires.recorded.get(e.actuator, flow.command)), (e.n,))]
         return np.concatenate([*found, value(flow.F_tip)] if e.surfaces else found)
 
@@ -43,8 +44,9 @@ def nonlinear_system(e: Equations) -> NonlinearIOSystem:
     return control.nlsys(rates, outputs, inputs=signals(names.inputs), outputs=signals(names.outputs), states=signals(names.states), name=name)
 
 
-def _inputs(e: Equations, u: Array) -> Inputs:
-    """Deviations u (nu,) as inputs of the equations: reference, disturbance, and F_d where the law has one."""
+def _inputs(e: Equations, t: float, x: Array, u: Array) -> Inputs:
+    """Deviations u (nu,) as inputs of the equations at the state x: reference, disturbance, and F_d where the law has one."""
     given = np.asarray(u, float)
     k, n, F_d = len(reference_channels(e)), e.n, e.law.desired_wrench
-    return Inputs(given[:k], given[k : k + n], None if F_d is None else F_d + given[k + n :])
+    moved = given[:k] if e.law.selection is None else reference_moves(e, np.array([t]), x[None])[0] @ given[:k]
+    return Inputs(moved, given[k : k + n], None if F_d is None else F_d + given[k + n :])

@@ -158,6 +158,19 @@ def test_a_step_of_the_reference_moves_the_tool_by_it_along_the_axes_of_the_tool
     assert_allclose(np.eye(k) - found, KP / (jw**2 + KD * jw + KP) * np.eye(k), atol=1e-9)
 
 
+@pytest.mark.parametrize(("name", "axes"), [("so100", "xyz"), ("ur5", "xrz"), ("ur5", "xyzrxryrz")])
+def test_the_nonlinear_system_of_python_control_has_the_linear_model_as_its_slope(name: str, axes: str) -> None:
+    X = ARMS[name].pose(start(name)) @ exp6(np.array([0, 0, 0, 0.3, 0.2, 0.0]))
+    loop = on(name, L.TaskComputedTorque(KP, KI, KD, axes=axes, null_damping=4.0), ToolHold(X))
+    lin, system, h = loop.linearize(coordinates="state"), loop.nlsys(), 1e-6
+    x, u = lin.point.x[0], np.zeros(lin.B.shape[2])
+    for i in range(len(loop.law.selection.rows)):
+        moved = np.eye(u.size)[i] * h
+        for ask, matrix in (("dynamics", lin.B), ("output", lin.D)):
+            slope = (getattr(system, ask)(0.0, x, u + moved) - getattr(system, ask)(0.0, x, u - moved)) / (2 * h)
+            assert_allclose(slope, matrix[0, :, i], atol=1e-6 * max(1.0, float(np.abs(matrix).max())))
+
+
 # --- the reference -----------------------------------------------------------------------------------------------------------
 
 
