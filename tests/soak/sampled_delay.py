@@ -284,7 +284,7 @@ def compared(loop: mfc.ClosedLoop, found: Counter[str], steps: int = STEPS, chan
             if np.isnan(T):
                 continue
             kind = f"{at}"
-            if np.isfinite(T) and T / h > MOST or second.step(int(wire), T if np.isfinite(T) else 0.0).shape[0] > MOST:
+            if (np.isfinite(T) and T / h > MOST) or second.step(int(wire), T if np.isfinite(T) else 0.0).shape[0] > MOST:
                 found["too large"] += 1
                 continue
             samples = T / h
