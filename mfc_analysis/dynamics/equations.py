@@ -387,6 +387,7 @@ class Equations:
             return wires("torque", command - law.acceleration_torque(self.controller, ref, a))
         if isinstance(s["q"], Dual):
             raise TypeError("a law that needs the acceleration is linearised with its torque wire cut")
+        rest: Vector
         if springs is None:
             rest = self._net(s, command, F, disturbance) - self.plant.rnea(s["q"], s["v"], np.zeros(self.n))
             inertia = self.plant.at(value(s["q"])).M
