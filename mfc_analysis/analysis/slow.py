@@ -13,9 +13,10 @@ Source: Golub & Van Loan, Matrix Computations, 7.6 (reordering, Sylvester equati
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.linalg import expm, lapack
+from scipy.linalg import expm, get_lapack_funcs
 
 from mfc_analysis.errors import NotConverged
 from mfc_analysis.maths.arrays import Array
@@ -23,6 +24,7 @@ from mfc_analysis.maths.arrays import Array
 MOVES = 1e-3  #: [SI] an entry of the slow transition matrix below this is no motion
 ALONG = 1e-6  #: of the largest change from the same start below which a state does not move along
 KEEPS_MOVING = 1.5  #: times its value at half the horizon: a ramp doubles, a free position stays, a growth of 1/horizon is 1.6
+LAPACK: Any = get_lapack_funcs(("gebal", "gees", "trsen", "trsyl"), dtype=np.float64)
 WORK = 40  #: times the size of A: memory for LAPACK
 MOVED = 2.0  #: factor by which a slow root may grow while it is sorted
 
@@ -87,22 +89,22 @@ def parts(A: Array, radius: float, dt: float = 0.0, least: int = 0) -> Parts:
     The ``least`` slowest roots are in the slow part in any case: those that are known to be slow, of which rounding may put one outside.
     Raises ``NotConverged`` where rounding mixes slow roots with the others.
     """
-    n = len(A)
-    balanced, _, _, scale, _ = lapack.dgebal((A - np.eye(n)) / dt if dt else A, scale=1, permute=0)
-    T, _, re, im, U, _, failed = lapack.dgees(lambda re, im: 0, balanced, sort_t=0, lwork=WORK * n)
+    n, (balance, schur, sort, sylvester) = len(A), LAPACK
+    balanced, _, _, scale, _ = balance((A - np.eye(n)) / dt if dt else A, scale=1, permute=0)
+    T, _, re, im, U, _, failed = schur(lambda re, im: 0, balanced, sort_t=0, lwork=WORK * n)
     size = _sizes(re, im, dt)
     ascending, k = np.sort(size), max(least, int(np.count_nonzero(size < radius)))
     if 0 < k < n and not failed:
         chosen = size <= ascending[k - 1]  # both roots of a pair
         k = int(np.count_nonzero(chosen))
-        T, U, re, im, *_, failed = lapack.dtrsen(chosen, T, U, job="N")
+        T, U, re, im, *_, failed = sort(chosen, T, U, job="N")
         failed = failed or _sizes(re[:k], im[:k], dt).max() > MOVED * max(radius, ascending[k - 1])
     if failed:
         raise NotConverged("the slow part of the linear loop has no digits: its coefficients differ by more than 16 decades")
     S, F, first, second = T[:k, :k], T[k:, k:], U[:, :k], U[:, k:]
     R = np.zeros((k, n - k))
     if R.size:
-        R, shrunk, _ = lapack.dtrsyl(S, F, -T[:k, k:], isgn=-1)
+        R, shrunk, _ = sylvester(S, F, -T[:k, k:], isgn=-1)
         R = R / shrunk
     slow = SlowPart(S, scale[:, None] * first, (first.T - R @ second.T) / scale, dt)
     return Parts(slow, F, scale[:, None] * (first @ R + second), second.T / scale)
