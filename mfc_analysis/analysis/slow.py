@@ -44,7 +44,7 @@ class SlowPart:
 
     def _transition(self, time: float) -> Array:
         if self.dt:
-            return np.linalg.matrix_power(np.eye(len(self.block)) + self.dt * self.block, max(0, round(time / self.dt)))
+            return np.asarray(np.linalg.matrix_power(np.eye(len(self.block)) + self.dt * self.block, max(0, round(time / self.dt))), float)
         return np.asarray(expm(self.block * time))
 
     def integral(self, time: float) -> Array:
