@@ -9,6 +9,7 @@ Types of blocks:
   package are errors. With a first line ``# file: NAME`` the block is written to the working folder and not executed.
 - ``toml``: written to the working folder if its first line is ``# file: NAME``.
 - ``console``: commands after ``$``. ``mfc-analysis`` and ``pytest`` are run. A comment ``exit code N`` gives the expected exit code (default 0).
+  ``picture: NAME`` in a comment of a block saves the current figure of pyplot in ``build/pictures``, where the page finds it as ``pictures/NAME``.
 - ``text`` directly after a python block, or the lines after a command: the expected output. Words must be equal, and numbers must agree to
   one unit of the last digit shown or to 1e-6; a line ``...`` matches any lines.
 
@@ -42,6 +43,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SITE = ROOT / "build" / "site"
+PICTURES = ROOT / "build" / "pictures"
 LONGEST = 300  #: [s] time limit for the blocks of a page
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 NOT_RUN = ("python3", "pip", "git", "mfc-analysis report")  #: installation is not part of a page, and the chapter's report has its own tests
@@ -158,8 +160,18 @@ def _run_python(page: Path, block: Block, names: dict[str, Any]) -> None:
             exec(compile(text, name, "exec", dont_inherit=True), names)
     except BaseException as why:  # any exception means that the page is wrong
         raise Wrong(f"{name}:{block.line}: {''.join(traceback.format_exception(why)[-4:])}") from why
+    for picture in re.findall(r"#.*\bpicture: (\S+)", block.text):
+        _save_picture(picture)
     if block.shown is not None and not agree(block.shown, printed.getvalue()):
         raise Wrong(f"{name}:{block.line}: the page shows\n{block.shown}but the block prints\n{printed.getvalue()}")
+
+
+def _save_picture(name: str) -> None:
+    from matplotlib import pyplot
+
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    pyplot.savefig(PICTURES / name, dpi=150, bbox_inches="tight")
+    pyplot.close("all")
 
 
 def _run_console(page: Path, block: Block) -> None:
@@ -248,6 +260,15 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
         return path.read_text(encoding="utf-8") if path.exists() else f"*{found[1]} has not been written yet.*"
 
     return re.sub(r"<!-- include: (\S+) -->", included, markdown)
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """mkdocs hook: adds the pictures that the pages have drawn."""
+    from mkdocs.structure.files import File
+
+    for path in sorted(PICTURES.glob("*")):
+        files.append(File.generated(config, f"pictures/{path.name}", abs_src_path=str(path)))
+    return files
 
 
 def build_site() -> int:

@@ -118,3 +118,10 @@ def test_every_path_that_the_guide_names_exists(page: Path) -> None:
 def test_every_path_that_a_source_names_exists() -> None:
     found = {path.name: missing(path.read_text(encoding="utf-8"), path.parent, ROOT / "mfc_analysis", ROOT) for path in SOURCES}
     assert {name: lost for name, lost in found.items() if lost} == {}
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if "](pictures/" in page.read_text(encoding="utf-8")], ids=lambda page: page.name)
+def test_every_picture_of_a_page_is_drawn_by_one_of_its_blocks(build: ModuleType, page: Path) -> None:
+    shown = re.findall(r"\]\(pictures/(\S+)\)", page.read_text(encoding="utf-8"))
+    drawn = [name for block in build.blocks(page) if block.kind == "python" for name in re.findall(r"#.*\bpicture: (\S+)", block.text)]
+    assert shown and shown == drawn
