@@ -64,7 +64,7 @@ class Validation(Shown):
         from mfc_analysis import plots
 
         panel = plots.Panel("deviation [rad, m]", self.nonlinear, beside=self.linear)
-        title, said = f"{self.size:g} rad in the worst direction", ("nonlinear", "linear")
+        title, said = f"Start off by {self.size:g} rad", ("nonlinear", "linear")
         return plots.traces(self.t, (panel,), self.joints, title=title, said=said, axes=plots.shown("time history", ax))[0]
 
     def __str__(self) -> str:

@@ -13,6 +13,7 @@ from mfc_analysis.linearization.exported import closed_model, loop_model
 from mfc_analysis.linearization.linearization import Linearization
 from mfc_analysis.robots.catalogue import ur5_urdf
 
+pytestmark = pytest.mark.filterwarnings("ignore:the dead time")  # whose absence the names say; the warning has its own test
 W = np.array([0.5, 3.0, 20.0, 60.0])
 
 
