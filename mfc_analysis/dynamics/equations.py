@@ -379,6 +379,7 @@ class Equations:
         if link or "lag" in s or wires.cuts("torque"):
             drive = spring if link else s["lag"] if "lag" in s else wires.inputs["torque"]
             assert drive is not None
+            a: Vector
             if springs is None or link:
                 a = self.plant.aba(s["q"], s["v"], self._net(s, drive, F, disturbance))
             else:
