@@ -84,6 +84,9 @@ def bounced() -> mfc.Simulation:
     return loop.simulate(0.2, q=[-0.01], v=[0.1])
 
 
+NOISE = np.random.default_rng(5).normal(size=2000)
+
+
 def results() -> dict[str, Any]:
     lin = MOVING.linearize([0.0, 0.1])
     run = MOVING.simulate(0.1, initial_error=0.01)
@@ -103,6 +106,7 @@ def results() -> dict[str, Any]:
         "decentralised": lin.decentralised(),
         "steps": step_metrics(LATE.linearize()),
         "coupling": coupling(lin, ["q_d_shoulder_pan_joint"], ["q_elbow_joint"], [1.0, 10.0]),
+        "measured response": mfc.frf.estimate(0.01 * np.arange(len(NOISE)), NOISE, np.cumsum(NOISE)),
         "second opinion": LATE.linearize().second_opinion(),
         "run": run,
         "late run": LATE.simulate(0.02, initial_error=0.01),
