@@ -45,7 +45,7 @@ class SlowPart:
     def _transition(self, time: float) -> Array:
         if self.dt:
             return np.asarray(np.linalg.matrix_power(np.eye(len(self.block)) + self.dt * self.block, max(0, round(time / self.dt))), float)
-        return np.asarray(expm(self.block * time))
+        return np.asarray(expm(self.block * time), float)
 
     def integral(self, time: float) -> Array:
         """(k, k) integral of the transition matrix of x_slow over ``time`` [s]: x_slow after a unit step of each of its rates."""
