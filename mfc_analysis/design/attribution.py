@@ -19,6 +19,7 @@ from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.notebook import Shown
 from mfc_analysis.requirements.evidence import Evidence, Found
 from mfc_analysis.requirements.requirements import KINDS, Requirements
 from mfc_analysis.robots.robot import Robot
@@ -37,7 +38,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Attribution:
+class Attribution(Shown):
     """The metrics of a loop with f imperfections: ideal, with each alone, with all but each, and with all. k metrics; NaN: not defined."""
 
     metrics: tuple[str, ...]  #: (k,) fields of ``Requirements``

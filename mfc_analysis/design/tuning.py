@@ -21,6 +21,7 @@ from mfc_analysis.errors import BadArgument, MfcError
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.notebook import Shown
 from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.requirements.requirements import Requirements
 
@@ -39,7 +40,7 @@ Case = dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Tuned:
+class Tuned(Shown):
     """The gains found. ``make_loop(**gains, **case)`` is the loop of a case again."""
 
     gains: Gains

@@ -394,7 +394,7 @@ class Equations:
             inertia = self.plant.at(value(s["q"])).M
         else:
             assert spring is not None
-            rest, inertia = command - spring, np.diag(springs.motor_inertia)
+            rest, inertia = value(command) - value(spring), np.diag(springs.motor_inertia)
         E = np.stack([value(law.acceleration_torque(self.controller, ref, one)) for one in np.eye(self.n)], axis=-1)
         a = np.asarray(np.linalg.solve(inertia + E, value(rest)[..., None])[..., 0], float)
         return command - law.acceleration_torque(self.controller, ref, a)
