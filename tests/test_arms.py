@@ -82,30 +82,39 @@ def check(name: str, hardware: str, loop: mfc.ClosedLoop) -> tuple[bool, int]:
     metrics = (margins.gain_increase, margins.gain_reduction, margins.phase_deg, margins.delay, margins.sensitivity_peak)
     assert all(np.isnan(x).any() != bool(verdict.nonzero_stable[0]) for x in metrics), said
     if verdict.nonzero_stable[0] and not lin.delay:
-        for j in range(loop.robot.n):
-            intervals += sum(_boundary(lin, j, float(x[0, j]), said) for x in (margins.gain_increase, margins.gain_reduction))
+        for at in lin.opened.points:
+            here = margins if at == margins.at else lin.margins(at)
+            for j in range(len(here.channels)):
+                intervals += sum(_boundary(lin, at, j, float(x[0, j]), said) for x in (here.gain_increase, here.gain_reduction))
     return compared, intervals
 
 
-def _boundary(lin: mfc.Linearization, joint: int, factor: float, said: str) -> bool:
+def _boundary(lin: mfc.Linearization, at: str, channel: int, factor: float, said: str) -> bool:
     """At 99 % of the way to the end of the gain interval the loop decays; at 100.03, 100.1 or 101 % it does not, by the eigenvalues with that gain.
 
-    Not at all three, since a pair that leaves just outside the disc may enter it a moment later.
+    Not at all three, since a pair that leaves just outside the disc may enter it a moment later. Without an end it decays at some gains up to
+    1000, or down to 0.01.
     """
-    if not 1e-4 < factor < 1e4:  # beyond, L at this frequency is rounding
+    open_end = factor == 0 or np.isinf(factor)
+    if np.isnan(factor) or not (open_end or 1e-4 < factor < 1e4):  # beyond, L at this frequency is rounding
         return False
-    L = lin.loop(0, channel=joint)
+    L = lin.loop(0, at=at, channel=channel)
     A, B, C, D = (np.asarray(x) for x in (L.A, L.B, L.C, L.D))
+    gains = {part: 1 + part * (factor - 1) for part in (0.99, 1.0003, 1.001, 1.01)}
+    if open_end:
+        gains = {f: f for f in ((2.0, 10.0, 100.0, 1000.0) if factor else (0.5, 0.1, 0.01))}
     found: dict[float, bool] = {}
-    for part in (0.99, 1.0003, 1.001, 1.01):
-        f = 1 + part * (factor - 1)
+    for part, f in gains.items():
         s = rates(A - f * B @ C / (1 + f * D[0, 0]), lin.dt)
         fast = s[np.abs(s) >= 1 / HORIZON]
         if np.abs(fast.real).min(initial=np.inf) >= NEAR * np.abs(s[np.isfinite(s)]).max():
             found[part] = bool(fast.size == 0 or fast.real.max() < 0)
+    if open_end:
+        assert all(found.values()), f"{said}: {at}, channel {channel}, no end, but {found}"
+        return bool(found)
     if 0.99 not in found or (len(found) < 4 and all(found.values())):  # what lies too near the axis is not compared
         return False
-    assert found.pop(0.99) and not all(found.values()), f"{said}: joint {joint}, gain {factor}"
+    assert found.pop(0.99) and not all(found.values()), f"{said}: {at}, channel {channel}, gain {factor}"
     return True
 
 
@@ -122,3 +131,9 @@ def test_verdicts_and_margins_on_an_arm_at_a_random_pose(arm: str) -> None:
     cases = [*loops(arm, 0), *loops(arm, 1, [k for k in HARDWARE if k != "dead time"])]
     found = [check(name, kind, loop) for name, kind, loop in cases]
     assert sum(compared for compared, _ in found) >= 40 and sum(intervals for _, intervals in found) >= 20
+
+
+def test_margins_at_the_encoder_where_friction_leaves_slow_roots() -> None:
+    """Slow roots are known to 1e-9 of the fastest one, too little for a modal sum at 1/horizon: a third of the ends were wrong by modes alone."""
+    ends = [check(name, kind, loop)[1] for seed in (2, 4) for name, kind, loop in loops("ur3", seed, ["friction"]) if name.startswith("9.10")]
+    assert sum(ends) >= 20

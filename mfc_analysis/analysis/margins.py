@@ -202,8 +202,9 @@ def _metrics(system: OpenSystem, at_point: str, ch: Channels, modes: Modes) -> M
     """Metrics of stable channels (a sampled loop: in the w plane) on the contour with its indentation."""
     dt, radius = ch.dt, system.radius
     poles = (modes[0] - 1) / (modes[0] + 1) if dt else modes[0]
-    found = resolvent(continuous(ch), (poles.astype(np.complex128), modes[1].astype(np.complex128)))
-    w = frequencies_of_interest(found.poles, float(np.tan(radius * dt / 2)) if dt else radius)
+    lowest = float(np.tan(radius * dt / 2)) if dt else radius
+    found = resolvent(continuous(ch), (poles.astype(np.complex128), modes[1].astype(np.complex128)), lowest)
+    w = frequencies_of_interest(found.poles, lowest)
     if not found.modal.any():  # each of them costs a linear solution
         w = thinned(w, found.poles)
     grid = on_grid(found, w)

@@ -1,18 +1,24 @@
-"""S_i(jw) - 1 and its slope at many frequencies and channels: by modes where these are well conditioned, else by linear solves.
+"""S_i(jw) - 1 and its slope at many frequencies and channels: by modes where these have their digits, else by linear solves.
 
-With a perfect model all poles coincide; the eigenvectors are ill conditioned (1e14) and the modes are not used.
+With a perfect model all poles coincide; the eigenvectors are ill conditioned (1e14) and the modes are not used. Nor are they where a pole is so
+near the contour that its rounding error matters there, as slow poles of a stiff contact do: an eigenvalue is known to eps ||A|| times its
+condition number. Where this may be seen at the nearest place on the contour, the modes are compared with a linear solve.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mfc_analysis.analysis.channels import Channels
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
+EPS = float(np.finfo(float).eps)
 CONDITION = 1e5  #: largest condition number of the eigenvectors with which modes are used: ten digits remain
+DOUBT = 1e-9  #: predicted relative error of a mode at the contour above which it is compared with a linear solve
+COMPARED = 3  #: places of each point at which they are compared, those with the largest predicted errors
+AGREE, FLOOR = 1e-7, 1e-10  #: of abs(H) and of abs(1 + H), and of one: they agree
 CHUNK = 4_000_000  #: complex numbers solved for at a time
 
 
@@ -80,8 +86,11 @@ class Resolvent:
         return Resolvent(self.ch.at(index), self.poles[index], self.residues[index], self.modal[index])
 
 
-def resolvent(ch: Channels, modes: tuple[Complex, Complex] | None = None) -> Resolvent:
-    """Modes of the channels' common A, and the points where they are well conditioned. ``modes``: eigenvalues and vectors, if already known."""
+def resolvent(ch: Channels, modes: tuple[Complex, Complex] | None = None, lowest: float = 0.0) -> Resolvent:
+    """Modes of the channels' common A, and the points where they have their digits on the contour, at w >= ``lowest`` [rad/s] and round it.
+
+    ``modes``: eigenvalues and vectors, if already known.
+    """
     found = np.linalg.eig(ch.A) if modes is None else modes
     poles, V = np.asarray(found[0], np.complex128), np.asarray(found[1], np.complex128)
     try:
@@ -90,21 +99,50 @@ def resolvent(ch: Channels, modes: tuple[Complex, Complex] | None = None) -> Res
         modal = np.abs(np.linalg.det(V)) > 0
         inverse = np.zeros_like(V)
         inverse[modal] = np.linalg.inv(V[modal])
-    modal = modal & (_condition(V, inverse) < CONDITION * ch.A.shape[-1])
+    condition, uncertain = _conditions(ch.A, V, inverse)
+    modal = modal & (condition < CONDITION * ch.A.shape[-1])
     residues = (ch.C @ V) * np.swapaxes(inverse @ ch.B, 1, 2)
+    _compare(Resolvent(ch, poles, residues, modal), uncertain, lowest)
     return Resolvent(ch, poles, residues, modal)
 
 
-def _condition(V: Complex, inverse: Complex) -> Array:
-    """(m,) condition numbers of V with rows, then columns, scaled to one, so that the units of the states have no effect. NaN counts as large."""
+def _compare(found: Resolvent, uncertain: Array, lowest: float) -> None:
+    """Clears ``modal`` of the points whose H by modes differs from that by linear solves, near the poles that are most ``uncertain`` (m, nx)."""
+    poles = found.poles
+    place = 1j * np.maximum(np.abs(poles.imag), lowest)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = uncertain / np.abs(poles - np.where(poles.imag < 0, -place, place))
+    doubtful = np.flatnonzero(found.modal & ~(error.max(axis=1, initial=0.0) < DOUBT))
+    if not doubtful.size:
+        return
+    most = np.argsort(-np.nan_to_num(error[doubtful], nan=np.inf), axis=1)[:, :COMPARED]
+    s = np.take_along_axis(place[doubtful], most, 1)
+    by_modes, by_solving = found.some(doubtful), replace(found.some(doubtful), modal=np.zeros(doubtful.size, bool))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        H = by_modes.over(s)
+        try:
+            exact = by_solving.over(s)
+        except np.linalg.LinAlgError:  # a pole on the contour
+            exact = np.full_like(H, np.nan)
+        agree = np.abs(H - exact) <= AGREE * np.minimum(np.abs(exact), np.abs(1 + exact)) + FLOOR
+    found.modal[doubtful[~agree.all(axis=(1, 2))]] = False
+
+
+def _conditions(A: Array, V: Complex, inverse: Complex) -> tuple[Array, Array]:
+    """Condition numbers (m,) of V with rows, then columns, scaled to one, so that the units of the states have no effect; NaN counts as large.
+
+    And the rounding error (m, nx) of each eigenvalue: eps ||A|| times its condition number, in the same scale.
+    """
     size, back = np.abs(V), np.abs(inverse)
     rows = np.sqrt((size * size).sum(axis=2))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         size = size / rows[:, :, None]
         columns = np.sqrt((size * size).sum(axis=1))
         back = back * rows[:, None, :] * columns[:, :, None]
-        found = np.sqrt(V.shape[-1] * (back * back).sum(axis=(1, 2)))
-    return np.asarray(np.where(np.isfinite(found), found, np.inf))
+        each = (back * back).sum(axis=2)
+        found = np.sqrt(V.shape[-1] * each.sum(axis=1))
+        norm = np.sqrt(np.square(A * (rows[:, None, :] / rows[:, :, None])).sum(axis=(1, 2)))
+    return np.asarray(np.where(np.isfinite(found), found, np.inf)), EPS * norm[:, None] * np.sqrt(each)
 
 
 def _solved(A: Array, s: Complex, B: Array) -> Complex:
