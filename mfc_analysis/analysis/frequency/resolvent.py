@@ -1,8 +1,8 @@
 """S_i(jw) - 1 and its slope at many frequencies and channels: by modes where these have their digits, else by linear solves.
 
 With a perfect model all poles coincide; the eigenvectors are ill conditioned (1e14) and the modes are not used. Nor are they where a pole is so
-near the contour that its rounding error matters there, as slow poles of a stiff contact do: an eigenvalue is known to eps ||A|| times its
-condition number. Where this may be seen at the nearest place on the contour, the modes are compared with a linear solve.
+near the contour that rounding of it or of its residue matters there, as of the slow poles of a stiff contact. Where this may be seen, the modes
+are compared with a linear solve.
 """
 
 from __future__ import annotations
@@ -99,39 +99,48 @@ def resolvent(ch: Channels, modes: tuple[Complex, Complex] | None = None, lowest
         modal = np.abs(np.linalg.det(V)) > 0
         inverse = np.zeros_like(V)
         inverse[modal] = np.linalg.inv(V[modal])
-    condition, uncertain = _conditions(ch.A, V, inverse)
+    condition, uncertain, scale = _conditions(ch.A, V, inverse)
     modal = modal & (condition < CONDITION * ch.A.shape[-1])
     residues = (ch.C @ V) * np.swapaxes(inverse @ ch.B, 1, 2)
-    _compare(Resolvent(ch, poles, residues, modal), uncertain, lowest)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        size = np.linalg.norm(ch.C * scale[:, None, :], axis=2) * np.linalg.norm(ch.B / scale[:, :, None], axis=1)
+    _compare(Resolvent(ch, poles, residues, modal), EPS * condition[:, None] * size, uncertain, lowest)
     return Resolvent(ch, poles, residues, modal)
 
 
-def _compare(found: Resolvent, uncertain: Array, lowest: float) -> None:
-    """Clears ``modal`` of the points whose H by modes differs from that by linear solves, near the poles that are most ``uncertain`` (m, nx)."""
-    poles = found.poles
+def _compare(found: Resolvent, rounding: Array, uncertain: Array, lowest: float) -> None:
+    """Clears ``modal`` of the points whose H by modes differs from that by linear solves where the modes may have lost their digits.
+
+    To first order H by modes is off by sum |dr|/|s - p| + sum |r| |dp|/|s - p|^2, with dr, ``rounding`` (m, n), of the residues and dp,
+    ``uncertain`` (m, nx), of the poles p. It is predicted where the contour is nearest to each pole.
+    """
+    modal = np.flatnonzero(found.modal)
+    poles, r, part = found.poles[modal], np.abs(found.residues[modal]), found.some(np.asarray(modal, np.int64))
     place = 1j * np.maximum(np.abs(poles.imag), lowest)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = uncertain / np.abs(poles - np.where(poles.imag < 0, -place, place))
-    doubtful = np.flatnonzero(found.modal & ~(error.max(axis=1, initial=0.0) < DOUBT))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        near = 1 / np.abs(place[:, None, :] - poles[:, :, None])
+        error = rounding[modal, :, None] * near.sum(axis=1, keepdims=True) + (r * uncertain[modal, None, :]) @ near**2
+        H = part.over(place)
+        error = (error / np.minimum(np.abs(H), np.abs(1 + H)).clip(min=FLOOR / AGREE)).max(axis=1, initial=0.0)
+    doubtful = np.flatnonzero(~(error.max(axis=1, initial=0.0) < DOUBT))
     if not doubtful.size:
         return
     most = np.argsort(-np.nan_to_num(error[doubtful], nan=np.inf), axis=1)[:, :COMPARED]
-    s = np.take_along_axis(place[doubtful], most, 1)
-    by_modes, by_solving = found.some(doubtful), replace(found.some(doubtful), modal=np.zeros(doubtful.size, bool))
+    s, solving = np.take_along_axis(place[doubtful], most, 1), replace(part.some(doubtful), modal=np.zeros(doubtful.size, bool))
     with np.errstate(divide="ignore", invalid="ignore"):
-        H = by_modes.over(s)
+        H = np.take_along_axis(H[doubtful], most[:, None, :], 2)
         try:
-            exact = by_solving.over(s)
+            exact = solving.over(s)
         except np.linalg.LinAlgError:  # a pole on the contour
             exact = np.full_like(H, np.nan)
         agree = np.abs(H - exact) <= AGREE * np.minimum(np.abs(exact), np.abs(1 + exact)) + FLOOR
-    found.modal[doubtful[~agree.all(axis=(1, 2))]] = False
+    found.modal[modal[doubtful[~agree.all(axis=(1, 2))]]] = False
 
 
-def _conditions(A: Array, V: Complex, inverse: Complex) -> tuple[Array, Array]:
+def _conditions(A: Array, V: Complex, inverse: Complex) -> tuple[Array, Array, Array]:
     """Condition numbers (m,) of V with rows, then columns, scaled to one, so that the units of the states have no effect; NaN counts as large.
 
-    And the rounding error (m, nx) of each eigenvalue: eps ||A|| times its condition number, in the same scale.
+    And the rounding error (m, nx) of each eigenvalue: eps ||A|| times its condition number, in the same scale; and the scale (m, nx) of the states.
     """
     size, back = np.abs(V), np.abs(inverse)
     rows = np.sqrt((size * size).sum(axis=2))
@@ -142,7 +151,7 @@ def _conditions(A: Array, V: Complex, inverse: Complex) -> tuple[Array, Array]:
         each = (back * back).sum(axis=2)
         found = np.sqrt(V.shape[-1] * each.sum(axis=1))
         norm = np.sqrt(np.square(A * (rows[:, None, :] / rows[:, :, None])).sum(axis=(1, 2)))
-    return np.asarray(np.where(np.isfinite(found), found, np.inf)), EPS * norm[:, None] * np.sqrt(each)
+    return np.asarray(np.where(np.isfinite(found), found, np.inf)), EPS * norm[:, None] * np.sqrt(each), rows
 
 
 def _solved(A: Array, s: Complex, B: Array) -> Complex:
