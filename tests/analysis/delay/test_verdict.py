@@ -14,7 +14,7 @@ from scipy.special import lambertw
 import mfc_analysis as mfc
 from mfc_analysis.analysis.delay.characteristic import delayed_points
 from mfc_analysis.analysis.delay.count import unstable_roots
-from mfc_analysis.analysis.delay.verdict import chain, delayed_verdicts, some_unstable, unstable_count
+from mfc_analysis.analysis.delay.verdict import LONGEST, chain, delayed_verdicts, some_unstable, unstable_count
 from mfc_analysis.analysis.spectrum import spectrum
 from mfc_analysis.analysis.system import OpenSystem
 from tests.analysis.conftest import open_system, random_loops
@@ -31,6 +31,7 @@ def verdict(system: OpenSystem):
 def test_the_roots_of_an_integrator_are_slow_or_judged(k, kT, sign):
     T = kT / k
     system = open_system(sign * k / s, delay=T)
+    assume(T < LONGEST * system.horizon)  # else refused by name
     roots = lambertw(-sign * kT, np.arange(-12, 13)) / T
     distance = np.abs(roots) / system.radius
     assume(np.abs(distance - 1).min() > 1e-2 and (np.abs(roots.real) > 1e-6 * np.abs(roots)).all())
