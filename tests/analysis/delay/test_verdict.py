@@ -31,7 +31,7 @@ def verdict(system: OpenSystem):
 def test_the_roots_of_an_integrator_are_slow_or_judged(k, kT, sign):
     T = kT / k
     system = open_system(sign * k / s, delay=T)
-    assume(T < LONGEST * system.horizon)  # else refused by name
+    assume(LONGEST * system.horizon > T)  # else refused by name
     roots = lambertw(-sign * kT, np.arange(-12, 13)) / T
     distance = np.abs(roots) / system.radius
     assume(np.abs(distance - 1).min() > 1e-2 and (np.abs(roots.real) > 1e-6 * np.abs(roots)).all())
