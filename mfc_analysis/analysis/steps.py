@@ -404,7 +404,7 @@ class Point:
                 found["longest"][left] = duration
                 left = left[~settled]
                 if left.size and duration >= most:
-                    raise never_settled(system, into[left[0]], out[left[0]], float(min(decay, default=0.0)))
+                    raise never_settled(system, int(into[left[0]]), int(out[left[0]]), float(min(decay, default=0.0)))
                 duration = min(2 * duration, most)
         return found
 

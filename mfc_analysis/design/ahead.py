@@ -35,7 +35,7 @@ class Ahead(Generic[X, Y]):
         import joblib
 
         self.call, self.n_jobs = call, checked_jobs(n_jobs)
-        self.workers = int(joblib.effective_n_jobs(n_jobs))
+        self.workers = int(joblib.effective_n_jobs(cast(int, n_jobs)))  # it takes None, whatever its types say
         self.known: dict[X, _Answer] = {}
         self.told: dict[Any, Any] = {}  #: registry of the warnings given
 

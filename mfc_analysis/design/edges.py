@@ -290,7 +290,7 @@ def _narrowed(distance: Callable[[float], float], holds: float, lost: float) -> 
         return float(np.clip(value, 1e-12, -FLOOR) if value >= 0 else max(value, FLOOR))
 
     low, high = sorted((holds, lost))
-    brentq(clipped, low, high, xtol=1e-3 * NEAR * max(abs(low), abs(high)), rtol=0.5 * NEAR)
+    brentq(clipped, low, high, xtol=1e-3 * NEAR * max(abs(low), abs(high)), rtol=np.float64(0.5 * NEAR))
     return min(((a, b) for a in sides[True] for b in sides[False]), key=lambda pair: abs(pair[0] - pair[1]))
 
 

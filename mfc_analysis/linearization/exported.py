@@ -20,7 +20,7 @@ def closed_model(system: OpenSystem) -> StateSpace:
     import control
 
     A, B, C, D = (M[0] for M in close_wires(system))
-    return control.ss(
+    return control.StateSpace(
         A, B, C, D, system.dt, name=_named("closed_loop", system),
         states=signals(system.state_names), inputs=signals(system.input_names), outputs=signals(system.output_names),
     )  # fmt: skip
@@ -44,7 +44,7 @@ def loop_model(system: OpenSystem, at: str, channel: int | str | None) -> StateS
     if rate is not None:  # it carries s r, and s (sI - A)^-1 b = b + (sI - A)^-1 A b
         into = B[:, system.nu + int(np.searchsorted(kept, rate))]
         b, d = b + A @ into, d + c @ into
-    return control.ss(
+    return control.StateSpace(
         A, b[:, None], -c[None, :], [[-d]], system.dt,
         inputs=signals([f"{at}_{names[j]}_in"]), outputs=signals([f"{at}_{names[j]}_out"]), name=_named(f"L_{at}_{names[j]}", system),
     )  # fmt: skip

@@ -45,6 +45,7 @@ def with_gains(one: StudyLoop, gains: dict[str, float], case: dict[str, float]) 
     if helper and law.gains is not None:
         dropped = SPECIFICATIONS if "bandwidth" in helper else ()
         kept = {name: value for name, value in law.gains.given().items() if name not in dropped}
-        changes["gains"] = type(law.gains)(**(kept | helper))
+        given: dict[str, Any] = kept | helper
+        changes["gains"] = type(law.gains)(**given)
     parts = replace(one.parts, table=one.table.model_copy(update={"law": law.model_copy(update=changes)}))
     return parts.varied(case) if case else parts.loop()

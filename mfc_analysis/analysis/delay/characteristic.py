@@ -113,13 +113,18 @@ def in_a_loop(points: Stacked) -> Bools:
     size = np.abs(places(points))
     last = 1e2 * np.nanmax(size, axis=1)
     first, last = 1e-2 * np.nanmin(size, axis=1), np.minimum(last, np.pi / points.dt) if points.dt else last
-    found = np.zeros(len(first), bool)
-    for count in FREQUENCIES:
-        left = np.flatnonzero(~found)
+
+    def seen(left: Ints, count: int) -> tuple[Array, Array, Bools]:
+        """|G| of these points at this many frequencies, the size from which it closes a loop, and where its diagonal has it."""
         w = first[left, None] * (last / first)[left, None] ** np.linspace(0, 1, count)
         G = np.abs(points.gain(np.repeat(left, count), on_axis(w.ravel()))).reshape(left.size, count, *points.D.shape[1:])
         least = NO_LOOP * np.maximum(1.0, G.max(axis=(1, 2, 3), initial=0.0))
-        found[left] = np.einsum("mkii->mki", G).max(axis=(1, 2), initial=0.0) >= least  # no spectral radius is below an entry of the diagonal
+        return G, least, np.einsum("mkii->mki", G).max(axis=(1, 2), initial=0.0) >= least  # no spectral radius is below an entry of the diagonal
+
+    few, many = FREQUENCIES
+    found = seen(np.arange(len(first)), few)[2]
+    left = np.flatnonzero(~found)
+    G, least, found[left] = seen(left, many)
     for i, one in zip(left, range(left.size), strict=True):
         closed = np.linalg.matrix_power(G[one].any(axis=0).astype(float), len(points.T)).any()  # else a chain that no wire closes
         found[i] |= bool(closed and perron(G[one]).max(initial=0.0) >= least[one])
