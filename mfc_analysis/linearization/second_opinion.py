@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -149,6 +149,13 @@ class _Case:
             return complex(np.nan, np.nan)
         return complex(frequency_response(self.system, np.array([w]), self.at)[0, self.k, 0])
 
+    def beyond(self, w: float) -> complex:
+        """L at an end of the frequency axis: at s, |s| = 1/horizon, Im s = w, where a slow root leaves the disc, or at the highest frequency."""
+        dt, s = self.system.dt, complex(np.sqrt(self.radius**2 - w**2), w) if w <= self.radius else complex(np.inf)
+        if np.isinf(s):
+            return complex(np.real(self.L(-1.0))) if dt else complex(np.asarray(self.L.D, float)[0, 0])
+        return complex(cast("complex", self.L(np.exp(s * dt) if dt else s)))
+
     def poles(self, of: StateSpace) -> Complex:
         """The poles that python-control finds, in the s plane [1/s]."""
         return rates_of(np.asarray(of.poles(), np.complex128), float(of.dt or 0.0))
@@ -169,7 +176,7 @@ class _Case:
 
 
 def _compared(name: str, function: str, ours: float, theirs: float, rules: Iterable[tuple[bool, str]], close: float = CLOSE) -> Comparison:
-    same = ours == theirs or (np.isnan(ours) and np.isnan(theirs)) or abs(ours - theirs) <= close * max(abs(ours), abs(theirs))
+    same = ours == theirs or (np.isnan(ours) and np.isnan(theirs)) or abs(ours - theirs) <= close * max(abs(ours), abs(theirs)) < np.inf
     if same:
         return Comparison(name, function, ours, theirs, Judgement.AGREES, "")
     why = next((said for holds, said in rules if holds), "")
@@ -275,8 +282,8 @@ def _margins(case: _Case) -> list[Comparison]:
 
 def _gain(case: _Case, function: str, name: str, end: str, theirs: float, w: float) -> Comparison:
     ours, at = case.ours(f"gain_{end}"), case.ours(f"{end}_frequency")
-    none = theirs in (0.0, np.inf)
-    L, mine = case.response(w), case.response(at)
+    none, inside = theirs in (0.0, np.inf), case.radius < at < case.last
+    L, mine = case.response(w), case.response(at) if inside else case.beyond(at)
     false = not none and not (abs(L.imag) < CROSSES * abs(L) and abs(abs(L) * theirs - 1) < CROSSES)
     missed = bool(abs(mine * ours + 1) < NEARLY) and (none or abs(np.log(theirs)) > abs(np.log(ours)) * (1 - CLOSE))
     rules = [
@@ -284,7 +291,7 @@ def _gain(case: _Case, function: str, name: str, end: str, theirs: float, w: flo
         (case.system.delayed and abs(ours - theirs) < FROM_GRID * ours, "read from a grid of frequencies; ours is exact"),
         (w < case.radius, f"at {_written(w)} rad/s, below 1/horizon"),
         (false, f"no crossing: L({_written(w)}j) is {_complex(L)}, not {_written(-1 / (theirs or np.nan))}; {LOST}"),
-        (none and not case.radius < at < case.last, "a root at zero or infinite frequency leaves first, where it does not look"),
+        (missed and not inside, f"it misses the end of the axis at {_written(at)} rad/s, where L is {_complex(mine)}"),
         (missed, f"it misses the crossing at {_written(at)} rad/s, where L is {_complex(mine)}"),
     ]
     return _compared(name, function, ours, theirs, rules)
@@ -359,14 +366,14 @@ def _steps(case: _Case) -> list[Comparison]:
     if count > MOST_SAMPLES:
         return []
     t = np.arange(count + 1) * (dt or 1.5 * end / count)
-    T = control.feedback(case.L, 1)
-    y, its = np.asarray(control.step_response(T, t).outputs, float), {}
+    T = cast("StateSpace", control.feedback(case.L, 1))
+    y, its = np.asarray(control.step_response(T, t).outputs, float), dict[str, float]()
     with suppress(IndexError):  # of a response that never comes to 90 % of its final value
-        its = control.step_info(T, timepts=t)
+        its = cast("dict[str, float]", control.step_info(T, timepts=t))  # of one input and one output
     final = float(its.get("SteadyStateValue", np.nan))
     grain, jump = 2 * float(t[1]), float(np.abs(np.diff(y)).max()) / max(abs(final), 1e-300)
     slow, beyond = ours.outcome is Outcome.RAMPS, 1e-3 * case.radius
-    tends = complex(T(np.exp(1j * beyond * dt) if dt else 1j * beyond)).real if beyond else np.nan
+    tends = float(np.real(T(np.exp(1j * beyond * dt) if dt else 1j * beyond))) if beyond else np.nan
     falls = abs(tends - ours.steady_state) < CROSSES * abs(tends) < abs(tends - final)
     s = case.poles(T)
     turn = np.pi / max(float(np.abs(s.imag[np.argmax(np.where(np.abs(s) < case.radius, -np.inf, s.real))])), 1e-300)

@@ -94,6 +94,30 @@ def test_a_wrong_figure_of_ours_is_watched(metric: str, figure: str, factor: flo
     assert found[figure] in found.watch and all(one.name.startswith((figure, "gain margin")) for one in found.watch)
 
 
+@pytest.mark.parametrize("contact", [False, True])
+def test_a_gain_at_which_a_slow_root_leaves_first_is_missed(contact: bool) -> None:
+    """The real root of 1 + k L passes 1/horizon = 0.01 1/s at our gain; python-control gives the next crossing, at 524 rad/s."""
+    loop = loop_of(named("9.21")[0], "planar_2r", contact=contact, hardware=mfc.Hardware(sample_time=2e-3, delay=5e-3))
+    lin = loop.linearize([0.0], horizon=100.0)
+    found = lin.second_opinion(0, "torque", 0)
+    gain, L = found["gain increase"], lin.loop(0)
+
+    def rightmost(k: float) -> float:
+        return float(np.log(np.abs(np.linalg.eigvals(L.A - k * L.B @ L.C))).max() / 2e-3)
+
+    assert rightmost(gain.ours * (1 - 1e-5)) < 0.01 < rightmost(gain.ours * (1 + 1e-5)) < rightmost(2.0)
+    assert gain.theirs > 1e4 and "end of the axis at 0 rad/s" in gain.why and not found.watch
+
+
+def test_a_gain_at_which_a_root_leaves_at_half_the_sample_rate_is_missed() -> None:
+    """L = kp T / (z - 1): its root 1 - k kp T comes to -1 at k = 2 / (kp T)."""
+    loop = mfc.ClosedLoop(SLIDER, mfc.laws.VelocityP(10.0), mfc.trajectories.Hold([0.0]), hardware=mfc.Hardware(sample_time=0.01))
+    found = loop.linearize().second_opinion()
+    gain = found["gain increase"]
+    assert gain.ours == pytest.approx(20.0) and gain.theirs > 1e3
+    assert gain.judgement is Judgement.EXPLAINED and "end of the axis at 314.16 rad/s" in gain.why and not found.watch
+
+
 def test_what_is_not_there_is_refused() -> None:
     lin = slider(30.0, 20.0, 9.0)
     with pytest.raises(UnknownPoint):
