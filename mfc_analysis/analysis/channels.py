@@ -31,6 +31,9 @@ class Channels:
     C: Array  #: (m, n, nx) rows c_i
     H0: Array  #: (m, n) d_i - 1: S_i - 1 at infinite frequency
     dt: float  #: [s] 0: continuous
+    #: where a rate is cut too: b_i (m, nx, n) and d_i - 1 (m, n) of the position alone, and the columns r_i (m, nx, n) of its rate, so that
+    #: S_i = d_i + c_i (sI - A)^-1 (b_i + s r_i) without the cancellation of b_i + A r_i at low frequency
+    apart: tuple[Array, Array, Array] | None = None
 
     @property
     def empty(self) -> Bools:
@@ -39,7 +42,8 @@ class Channels:
 
     def at(self, index: Ints | Bools) -> Channels:
         """The same channels at some of the points."""
-        return replace(self, A=self.A[index], B=self.B[index], C=self.C[index], H0=self.H0[index])
+        apart = None if self.apart is None else (self.apart[0][index], self.apart[1][index], self.apart[2][index])
+        return replace(self, A=self.A[index], B=self.B[index], C=self.C[index], H0=self.H0[index], apart=apart)
 
 
 def point_wires(system: OpenSystem, at: str) -> slice:
@@ -76,14 +80,16 @@ def channels(system: OpenSystem, at: str) -> Channels:
     A = system.A + into @ system.C[:, ny:, :]
     B, C = into[:, :, wires], out[:, wires, :]
     H0: Array = np.asarray(np.diagonal(through[:, wires, wires], axis1=1, axis2=2) - 1.0, float)
+    apart = None
     if has_rate(system, at):
         rate = system.wires["rate"]
         assert not np.diagonal(through[:, wires, rate], axis1=1, axis2=2).any(), "the rate reaches its own position without a state"
         assert not system.dt, "a sampled rate is not s times the sampled position"
         B_rate = into[:, :, rate]
+        apart = B, H0, B_rate
         H0 = np.asarray(H0 + np.einsum("mnx,mxn->mn", C, B_rate), float)
         B = B + A @ B_rate
-    return Channels(system.wire_names[wires], A, B, C, H0, system.dt)
+    return Channels(system.wire_names[wires], A, B, C, H0, system.dt, apart)
 
 
 def continuous(ch: Channels) -> Channels:

@@ -43,7 +43,6 @@ class Resolvent:
         for some, by in ((modal, self._by_modes), (~modal, self._by_solving)):
             if some.any():
                 H[some], slope[some] = by(point[some], channel[some], s[some])
-        H += self.ch.H0[point, channel]
         return H, slope
 
     def on(self, w: Array) -> Complex:
@@ -55,29 +54,38 @@ class Resolvent:
         H = np.empty((*self.ch.H0.shape, s.shape[1]), np.complex128)
         if self.modal.any():
             gap = 1 / (s[self.modal, None, :] - self.poles[self.modal, :, None])
-            H[self.modal] = self.residues[self.modal] @ gap
+            H[self.modal] = self.residues[self.modal] @ gap + self.ch.H0[self.modal, :, None]
+        B, H0, rate = self._driven()
         for i in np.flatnonzero(~self.modal):
             places, which = np.unique(s[i], return_inverse=True)
-            H[i] = np.einsum("nx,kxn->nk", self.ch.C[i], _solved(self.ch.A[i], places, self.ch.B[i]))[:, which]
-        H += self.ch.H0[:, :, None]
+            X = _solved(self.ch.A[i], places, np.concatenate([B[i], rate[i]], axis=1))
+            n = B.shape[2]
+            X = X[:, :, :n] + places[:, None, None] * X[:, :, n:]
+            H[i] = np.einsum("nx,kxn->nk", self.ch.C[i], X)[:, which] + H0[i, :, None]
         return H
+
+    def _driven(self) -> tuple[Array, Array, Array]:
+        """b (m, nx, n), H0 (m, n) and r (m, nx, n) with H = H0 + c (sI - A)^-1 (b + s r)."""
+        return (self.ch.B, self.ch.H0, np.zeros_like(self.ch.B)) if self.ch.apart is None else self.ch.apart
 
     def _by_modes(self, point: Ints, channel: Ints, s: Complex) -> tuple[Complex, Complex]:
         gap = 1 / (s[:, None] - self.poles[point])
         part = self.residues[point, channel] * gap
-        return part.sum(axis=1), -(part * gap).sum(axis=1)
+        return part.sum(axis=1) + self.ch.H0[point, channel], -(part * gap).sum(axis=1)
 
     def _by_solving(self, point: Ints, channel: Ints, s: Complex) -> tuple[Complex, Complex]:
         nx = self.ch.A.shape[-1]
+        B, H0, rate = self._driven()
         H, slope = np.empty(s.shape, np.complex128), np.empty(s.shape, np.complex128)
         step = max(1, CHUNK // max(1, nx * nx))
         for k in range(0, s.size, step):
             p, c = point[k : k + step], channel[k : k + step]
             matrix = s[k : k + step, None, None] * np.eye(nx) - self.ch.A[p]
             row = self.ch.C[p, c]
-            x = np.linalg.solve(matrix, self.ch.B[p, :, c][:, :, None].astype(complex))
-            y = np.linalg.solve(matrix, x)
-            H[k : k + step] = (row * x[:, :, 0]).sum(axis=1)
+            r = rate[p, :, c][:, :, None]
+            x = np.linalg.solve(matrix, B[p, :, c][:, :, None] + s[k : k + step, None, None] * r)
+            y = np.linalg.solve(matrix, x - r)
+            H[k : k + step] = (row * x[:, :, 0]).sum(axis=1) + H0[p, c]
             slope[k : k + step] = -(row * y[:, :, 0]).sum(axis=1)
         return H, slope
 
