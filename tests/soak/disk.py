@@ -26,6 +26,7 @@ from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import MfcError
 
 ABOVE, BELOW = 1e-4, 1e-3  #: what alpha may be off, relative
+ROUNDS, FLAT = 9, 1 - 1e-6  #: a peak is refined until its neighbours are that near: a tall one with dead time is 1e-6 of its frequency wide
 GRID = 1500  #: frequencies with logarithmic spacing, and as many even ones with dead time
 KINDS = ("joint", "elastic", "arm", "elastic arm", "velocity", "plain")
 
@@ -116,12 +117,15 @@ def peak(values, w: np.ndarray, found: np.ndarray) -> float:
     best = float(found.max())
     for k in tops:
         a, b = w[max(k - 1, 0)], w[min(k + 1, w.size - 1)]
-        for _ in range(4):
+        for _ in range(ROUNDS):
             x = np.linspace(a, b, 21)
             y = values(x)
             i = int(y.argmax())
             best = max(best, float(y[i]))
-            a, b = x[max(i - 1, 0)], x[min(i + 1, 20)]
+            near = [max(i - 1, 0), min(i + 1, 20)]
+            a, b = x[near]
+            if y[near].min() > FLAT * y[i]:
+                break
     return best
 
 
@@ -186,11 +190,16 @@ def judged(system: OpenSystem, kind: str, at: str, count: int = GRID) -> Judged 
         tops = 1 + np.flatnonzero((rough[1:-1] >= rough[:-2]) & (rough[1:-1] >= rough[2:]) & (rough[1:-1] > 0.8 * truth))
         for k in tops[np.argsort(-rough[tops])][:5]:
             a, b = w[k - 1], w[k + 1]
-            for _ in range(4):
+            for _ in range(ROUNDS):
                 x = np.linspace(a, b, 21)
-                mu, i, _ = largest_bound(M(x))
+                here = M(x)
+                mu, i, _ = largest_bound(here)
                 truth = max(truth, mu)
-                a, b = x[max(i - 1, 0)], x[min(i + 1, 20)]
+                near = [max(i - 1, 0), i, min(i + 1, 20)]
+                a, b = x[near[0]], x[near[2]]
+                y = osborne_bound(here[near])[0]
+                if y.min() > FLAT * y.max():
+                    break
     truth = max(truth, 0.5 if not system.dt else 0.0)
     single = np.array([max(1.0, peak(lambda x, i=i: np.abs(M(x)[:, i, i] + 0.5), w, np.abs(S[:, i, i] + 0.5))) for i in range(n)])
     alpha = float(found.alpha[0])
