@@ -288,8 +288,9 @@ class ClosedLoop:
     def _repr_html_(self) -> str:
         from mfc_analysis.notebook import table
 
-        given = {f.name: getattr(self.equations.hardware, f.name) for f in fields(self.equations.hardware) if f.name != "feedback"}
-        hardware = ", ".join(f"{name} = {value}" for name, value in given.items() if value is not None) or "ideal"
+        given = {f.name: getattr(self.equations.hardware, f.name) for f in fields(self.equations.hardware)}
+        usual = {f.name: f.default for f in fields(self.equations.hardware)}
+        hardware = ", ".join(f"{name} = {value}" for name, value in given.items() if value is not None and value != usual[name]) or "ideal"
         model = "the plant" if self.equations.model is self.robot else self.equations.model.name
         rows = [("robot", f"{self.robot.name}, {self.robot.n} joints"), ("law", str(self.law)), ("reference", type(self.ref).__name__)]
         rows += [("controller's model", model), ("hardware", hardware), ("surfaces", str(len(self.equations.surfaces)))]

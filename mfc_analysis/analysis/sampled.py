@@ -8,7 +8,7 @@ Every ``sample_time`` h the controller reads its measurements, computes, and hol
   and the torque switches inside the sample at the exact time. There is no Pade approximation and no "half a sample of delay".
 - The force measured through a dead time is the force at t_k - T: the plant's solution between samples, then a register.
 - The controller's states obey their linear differential equations with the measurements held over the sample: an integral becomes a
-  forward sum, filters and linear outer loops become their zero-order-hold equivalents.
+  forward sum, filters and linear outer loops become their zero-order-hold equivalents. Those that are ``stepped`` are sampled code.
 - External inputs are also held over the sample; outputs are those at t_k.
 
 With all wires cut the controller acts on the plant through the torque (velocity) wires only; this is checked.
@@ -23,10 +23,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from mfc_analysis.analysis.channels import has_rate
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths import checks
-from mfc_analysis.maths.arrays import Array, Ints
+from mfc_analysis.maths.arrays import Array, Bools, Ints
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 
 MOST_STATES = 2100  #: of the discrete model: the eigenvalues of one point take about half a minute
@@ -61,8 +62,8 @@ def sampled(system: OpenSystem, sample_time: float, *, on_wires: bool = False) -
     included all the same.
 
     States keep their order and names; the held values of dead times follow, such as "torque[-1] joint", one sample old. The analysis
-    points are those of the continuous loop except "position": its rate wire has no exact sampled counterpart of "s times the position",
-    so that the encoder is not opened in a sampled loop.
+    points are those of the continuous loop, except "position" where the velocity is measured too: that wire has no exact sampled counterpart
+    of "s times the position".
 
     Raises ``BadArgument`` for a sample time that is not positive or so long that the plant overflows, ``Unsupported`` where the controller
     acts on the plant other than through its torque (velocity) wires, where a wire other than these or "force" has dead time, where the
@@ -98,7 +99,7 @@ def sampled(system: OpenSystem, sample_time: float, *, on_wires: bool = False) -
         D=np.ascontiguousarray(rows[:, :, n:]),
         state_names=system.state_names + _names(system, layout),
         wire_delay=late,
-        points=tuple(point for point in system.points if point != "position"),
+        points=tuple(point for point in system.points if not has_rate(system, point)),
         plant_states=tuple(system.plant_states) + tuple(range(nx, n)),
         dt=h,
         registers=layout.registers,
@@ -172,10 +173,20 @@ def _controlled(system: OpenSystem, layout: Layout, h: float) -> Array:
     A = system.A[:, c[:, None], c]
     if (A[:1] == A).all():  # the equations of most laws' states are the same at all points: one exponential for all
         A = A[:1]
-    Phi, integral = zero_order_hold(A, np.broadcast_to(np.eye(c.size), A.shape), h)
-    out = integral @ held
-    out[:, :, c] += Phi
+    advance = own_step(A, np.isin(c, system.stepped), h)
+    held[:, :, c] += A
+    out = advance @ held
+    out[:, :, c] += np.eye(c.size)
     return out
+
+
+def own_step(A: Array, stepped: Bools, h: float) -> Array:
+    """What takes the rates A x + (what is held) of a controller's k states x to their change over a sample: h phi_1(h A), (..., k, k).
+
+    A: (..., k, k). A state that is ``stepped`` (k,) changes by h times its rate, and is held for the others.
+    """
+    smooth = np.where(stepped[:, None] | stepped, 0.0, A)
+    return zero_order_hold(smooth, np.broadcast_to(np.eye(A.shape[-1]), A.shape), h)[1]
 
 
 def _seen(system: OpenSystem, layout: Layout, wire: int, h: float) -> Array:

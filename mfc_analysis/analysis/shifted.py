@@ -8,7 +8,7 @@ H_i = S_i - 1 = U - 1 is written by the closed loop: U is its present sensitivit
 
 - A driving wire (torque, velocity), or a command that acts through them: the new value acts for (1 - f) h, the old one before.
   l = c_i (zI - A)^-1, gamma(f) = int_0^((1 - f) h) exp(A_p s) ds B_p, factor = z - 1, and b, Delta are those of the old value alone.
-- The force, reported late: it is that at (1 - f) h into the sample before. l = (zI - A)^-1 b_i, gamma(f) its row, factor = 1.
+- A sensor (force, encoder), reported late: it is that at (1 - f) h into the sample before. l = (zI - A)^-1 b_i, gamma(f) its row, factor = 1.
 
 gamma(f) is analytic between the breaks at which another wire's held value switches: Taylor polynomials about the middle of pieces of f.
 
@@ -29,6 +29,7 @@ from mfc_analysis.maths.arrays import Array, Complex, Ints
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 
 TERMS = 16  #: of each Taylor polynomial
+SENSORS = ("force", "position")  #: analysis points at which the plant is measured
 EXACT = 1e-12  #: its remainder, of a mode of the plant
 DEEPEST = 12  #: halvings of a piece
 
@@ -135,26 +136,27 @@ def shifted(system: OpenSystem, at: str, modes: tuple[Complex, Complex] | None) 
     ch = channels(system, at)
     wires = np.arange(system.nw)[system.wires[at]]
     through = np.asarray(np.linalg.inv(np.eye(system.nw) - system.D[:, system.ny :, system.nu :]), float)
-    parts = _late_force if at == "force" else _late_torque
+    sensor = at in SENSORS
+    parts = _late_sensor if sensor else _late_torque
     found = parts(system, held, layout, wires, through)
-    row, base = (ch.B.swapaxes(1, 2), ch.C) if at == "force" else (ch.C, ch.B.swapaxes(1, 2))
+    row, base = (ch.B.swapaxes(1, 2), ch.C) if sensor else (ch.C, ch.B.swapaxes(1, 2))
     old, old_direct, gamma, delta, edges, present = found
     vectors = row, base, old, gamma
     if modes is None:
-        matrix = ch.A if at == "force" else ch.A.swapaxes(1, 2)
+        matrix = ch.A if sensor else ch.A.swapaxes(1, 2)
         poles = np.zeros(ch.A.shape[:2], np.complex128)
         r, b, o, g = (x.astype(np.complex128) for x in vectors)
-        return Shifted(matrix, poles, r, b, ch.H0, o, old_direct, g, delta, edges, at != "force", present)
+        return Shifted(matrix, poles, r, b, ch.H0, o, old_direct, g, delta, edges, not sensor, present)
     poles, V = modes
     turn, inverse = np.asarray(V.swapaxes(1, 2), np.complex128), np.asarray(np.linalg.inv(V), np.complex128)
-    to_row, to_vector = (inverse, turn) if at == "force" else (turn, inverse)
+    to_row, to_vector = (inverse, turn) if sensor else (turn, inverse)
 
     def turned(M: Complex, vectors: Array) -> Complex:
         flat = vectors.reshape(len(M), -1, M.shape[1])
         return np.asarray(flat @ M.swapaxes(1, 2), np.complex128).reshape(vectors.shape)
 
     r, b, o, g = (turned(M, x) for M, x in zip((to_row, to_vector, to_vector, to_vector), vectors, strict=True))
-    return Shifted(None, poles, r, b, ch.H0, o, old_direct, g, delta, edges, at != "force", present)
+    return Shifted(None, poles, r, b, ch.H0, o, old_direct, g, delta, edges, not sensor, present)
 
 
 _Found = tuple[Array, Array, Array, Array, Array, Array]  # old, old_direct, gamma, delta, edges, present
@@ -201,8 +203,8 @@ def _late_torque(system: OpenSystem, held: OpenSystem, layout: Layout, wires: In
     return old, into[:, wires, channel], gamma, np.zeros(gamma.shape[:-1]), edges, now
 
 
-def _late_force(system: OpenSystem, held: OpenSystem, layout: Layout, wires: Ints, through: Array) -> _Found:
-    """Each component of the force sensor."""
+def _late_sensor(system: OpenSystem, held: OpenSystem, layout: Layout, wires: Ints, through: Array) -> _Found:
+    """Each component of the force sensor, or each encoder."""
     h, nu, p, registers = system.dt, system.nu, *_places(system, layout)
     drive, nx = layout.drive, system.nx
     A = held.A[:, layout.plant[:, None], layout.plant]

@@ -43,6 +43,7 @@ class OpenSystem:
     points: tuple[str, ...]  #: analysis points a user may open ("rate" is the v that goes with "position" and is never opened alone)
     integrals: tuple[int, ...] = ()  #: states that are integrals of a controller (dropped where they act on nothing)
     plant_states: tuple[int, ...] = ()  #: states of the plant (the others belong to the controller)
+    stepped: tuple[int, ...] = ()  #: states of the controller that are sampled code: x + T x' at the next sample
     law: str = "the loop"  #: for messages
     dt: float = 0.0  #: [s] sample time, 0: continuous
     registers: int = 0  #: of a sampled loop: states that hold the samples in transit
@@ -137,5 +138,5 @@ def without_idle(system: OpenSystem) -> OpenSystem:
     return replace(
         system, A=system.A[:, used][:, :, used], B=system.B[:, used], C=system.C[:, :, used],
         state_names=tuple(n for n, keep in zip(system.state_names, used, strict=True) if keep),
-        integrals=kept(system.integrals), plant_states=kept(system.plant_states),
+        integrals=kept(system.integrals), plant_states=kept(system.plant_states), stepped=kept(system.stepped),
     )  # fmt: skip

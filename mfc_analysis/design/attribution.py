@@ -173,6 +173,8 @@ def with_imperfections(loop: ClosedLoop, on: Collection[str]) -> ClosedLoop:
     if not off:
         return loop
     hardware = loop.hardware or Hardware()
+    if "sampling" in off:
+        hardware = hardware.every(None)
     none: dict[str, Any] = {field: None for name in off if name in FIELDS for field in FIELDS[name]}
     hardware = replace(hardware, **none)
     plant, model = loop.robot, loop.equations.model

@@ -162,7 +162,7 @@ def min_sample_rate(
     hardware = loop.hardware or Hardware()
 
     def sampled(period: float) -> ClosedLoop:
-        return replace(loop, hardware=replace(hardware, sample_time=period or None))
+        return replace(loop, hardware=hardware.every(period))
 
     t, judge = _asked(loop, times, requirements, at)
     if judge is not None:

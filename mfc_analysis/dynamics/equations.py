@@ -33,6 +33,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from mfc_analysis.dynamics.coded import difference, summed
 from mfc_analysis.dynamics.environment import Contact, Environment, LoseContact, contact
 from mfc_analysis.dynamics.hardware import Hardware, JointHardware
 from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
@@ -197,8 +198,11 @@ class Equations:
         if torque and self.joints.springs is not None:
             out += [Slot("theta", joints, False), Slot("omega", joints, False)]
         out += self.law.slots(joints)
+        differs = hardware.derivative_rule is not None
+        if torque and differs:
+            out.append(Slot("q_before", joints, False, stepped=True))
         if torque and self.joints.velocity_filter is not None:
-            out.append(Slot("v_filter", joints, False))
+            out.append(Slot("v_filter", joints, False, stepped=differs))
         if self.law.senses_force and hardware.force_filter is not None:
             out.append(Slot("F_filter", WRENCH, False))
         if self.lag is not None:
@@ -215,6 +219,11 @@ class Equations:
         """Indices of the plant's states."""
         return tuple(i for name, (where, _) in self.parts.items() if name in PLANT_SLOTS for i in range(where.start, where.stop))
 
+    @property
+    def stepped(self) -> tuple[int, ...]:
+        """Indices of the states of sampled code: x + T x' at the next sample."""
+        return tuple(i for where, slot in self.parts.values() if slot.stepped for i in range(where.start, where.stop))
+
     def wire_sizes(self) -> dict[str, int]:
         """The wires of this loop and their numbers of channels."""
         law, n = self.law, self.n
@@ -222,7 +231,7 @@ class Equations:
         if "command" in law.opens_at:
             sizes["command"] = len(law.command_channels(self.robot.joint_names))
         sizes["position"] = n
-        if self.actuator == "torque":
+        if self.actuator == "torque" and self.hardware.derivative_rule is None:
             sizes["rate"] = n
         if law.senses_force:
             sizes["force"] = 6
@@ -301,11 +310,14 @@ class Equations:
         """Sensors, filters and the law: its action, and the rates of the controller's states (without those of anti-windup unless ``unwind``)."""
         ref = self.reference(t, inputs)
         rates: dict[str, Vector] = {}
-        joints = self.joints
+        joints, hardware = self.joints, self.hardware
         motor = joints.springs is not None and joints.springs.motor_encoder
         q = wires("position", s["theta"] if motor else s["q"])
         v: Vector = self._still
-        if self.law.plant == "torque":
+        if hardware.derivative_rule is not None:
+            v, differences = difference(s, q, self.sample_time, hardware.derivative_rule, joints.velocity_filter)
+            rates.update(differences)
+        elif self.law.plant == "torque":
             v = wires("rate", s["omega"] if motor else s["v"])
             if joints.velocity_filter is not None:
                 rates["v_filter"] = (v - s["v_filter"]) * (1 / joints.velocity_filter)
@@ -313,11 +325,15 @@ class Equations:
         measured: Vector = NO_WRENCH
         if self.law.senses_force:
             measured = wires("force", F)
-            if self.hardware.force_filter is not None:
-                rates["F_filter"] = (measured - s["F_filter"]) * (1 / float(self.hardware.force_filter))
+            if hardware.force_filter is not None:
+                rates["F_filter"] = (measured - s["F_filter"]) * (1 / float(hardware.force_filter))
                 measured = s["F_filter"]
         now = Measured(q, v, measured, s)
         action = self.law.act(self.controller, now, ref, wires)
+        if hardware.integral_rule != "forward" and self.integrals:
+            names = tuple(name for name, (_, slot) in self.parts.items() if slot.integral)
+            now = Measured(q, v, measured, summed(s, action.rates, names, self.sample_time, hardware.integral_rule))
+            action = self.law.act(self.controller, now, ref, wires)
         rates.update(action.rates)
         if unwind and self.law.anti_windup is not None and joints.torque_limit is not None:
             lost = self.limited(action.command) - action.command
@@ -454,7 +470,7 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
     hardware, law = equations.hardware, equations.law
     name = type(law).__name__
     if law.plant == "velocity":
-        for field_ in ("torque_lag", "velocity_filter", "joint_stiffness", "torque_limit"):
+        for field_ in ("torque_lag", "velocity_filter", "joint_stiffness", "torque_limit", "derivative_rule"):
             if getattr(hardware, field_) is not None:
                 takes = f"a law with torque inputs; {name} commands joint velocities (velocity_lag, delay, sample_time apply)"
                 raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), takes)
@@ -464,6 +480,9 @@ def refuse_what_does_not_apply(equations: Equations) -> None:
     elif hardware.velocity_lag is not None:
         takes = f"a law with velocity inputs (9.1-9.5); {name} commands torques: use torque_lag"
         raise Unsupported("hardware.velocity_lag", hardware.velocity_lag, takes)
+    if law.sample_time is not None and hardware.sample_time != law.sample_time:
+        takes = f"{law.sample_time:g} s, at which the outer loop of {name} is a difference equation"
+        raise Unsupported("hardware.sample_time", hardware.sample_time, takes)
     if law.anti_windup is not None and hardware.sample_time and law.anti_windup < hardware.sample_time:
         takes = f"at least the sample time of {hardware.sample_time:g} s: the integral is taken back once per sample"
         raise Unsupported("law.anti_windup", law.anti_windup, takes)

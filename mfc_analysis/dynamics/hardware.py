@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfc_analysis.dynamics.coded import PRESENT, Rule
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 
 SHORTEST, LONGEST = 1e-9, 1e9  #: [s] of a lag, a dead time, a filter or a sample time that is on
 SMALLEST, LARGEST = 1e-12, 1e15  #: of a stiffness, a damping, an inertia or a torque limit that is on, in its unit
+CHOICES = {"feedback": ("motor", "link"), "integral_rule": tuple(PRESENT), "derivative_rule": tuple(PRESENT)}  #: fields that are words
 MOST_SAMPLES = 2000  #: largest dead time of a sampled loop, in samples
 
 
@@ -25,6 +27,10 @@ class Hardware:
     ``delay`` is the dead time of each commanded torque (velocity for 9.1-9.5), ``force_delay`` that of the measured wrench. With
     ``sample_time`` the law runs once per sample: the torque is held in between (zero-order hold), and the law's own states
     (integrals, filters, LTI outer loops) advance exactly with their inputs held over the sample.
+
+    A sampled controller as it is coded: ``integral_rule`` is the sum that its integrals are ("forward": the one that holds its input,
+    "backward", "tustin"), and with ``derivative_rule`` the velocity is the difference of the encoder over a sample, through
+    ``velocity_filter`` by that rule; None: the velocity is measured. "forward" and "tustin" need the filter.
 
     Elastic joints (Spong's model): K (theta - q) + D (theta' - q') drives the link, the motor obeys
     B theta'' + K (theta - q) + D (theta' - q') = tau. ``feedback`` selects the encoder position.
@@ -46,12 +52,15 @@ class Hardware:
     motor_inertia: float | Array | None = None  #: [kg m^2] on the link side of the gear, scalar or (n,)
     torque_limit: float | Array | None = None  #: [Nm], scalar or (n,); acts in simulation
     feedback: Literal["motor", "link"] = "motor"  #: encoder position of an elastic joint
+    integral_rule: Rule = "forward"  #: of the integrals of a sampled controller
+    derivative_rule: Rule | None = None  #: of the velocity of a sampled controller from its encoder; None: measured
 
     def __post_init__(self) -> None:
         for f in fields(self):
             given = getattr(self, f.name)
-            if f.name == "feedback":
-                checks.choice("feedback", given, ("motor", "link"))
+            if f.name in CHOICES:
+                if given is not None or f.default is not None:
+                    checks.choice(f"hardware.{f.name}", given, CHOICES[f.name])
             elif given is not None:
                 object.__setattr__(self, f.name, _positive_or_none(f.name, given))
         if (self.joint_stiffness is None) != (self.motor_inertia is None):
@@ -59,6 +68,12 @@ class Hardware:
             raise BadArgument("joint_stiffness, motor_inertia", got, "both or neither: an elastic joint needs both")
         if self.joint_damping is not None and self.joint_stiffness is None:
             raise BadArgument("joint_damping", self.joint_damping, "joint_stiffness= and motor_inertia= with it")
+        if not self.sample_time and (self.integral_rule, self.derivative_rule) != ("forward", None):
+            rules = (self.integral_rule, self.derivative_rule)
+            raise BadArgument("hardware.integral_rule, hardware.derivative_rule", rules, "sample_time= with them: they are rules of sampled code")
+        if self.derivative_rule not in (None, "backward") and self.velocity_filter is None:
+            takes = "velocity_filter= with it; only the backward difference needs none"
+            raise BadArgument("hardware.derivative_rule", self.derivative_rule, takes)
         for name in ("delay", "force_delay"):
             late = getattr(self, name)
             if late and self.sample_time and late > MOST_SAMPLES * self.sample_time:
@@ -68,7 +83,13 @@ class Hardware:
     @property
     def ideal(self) -> bool:
         """True if every imperfection is off."""
-        return all(getattr(self, f.name) is None for f in fields(self) if f.name != "feedback")
+        return all(getattr(self, f.name) is None for f in fields(self) if f.name not in CHOICES)
+
+    def every(self, sample_time: float | None) -> Hardware:
+        """The same hardware with this sample time [s]; None: continuous, without the rules of sampled code."""
+        if not sample_time:
+            return replace(self, sample_time=None, integral_rule="forward", derivative_rule=None)
+        return replace(self, sample_time=sample_time)
 
     @property
     def elastic(self) -> bool:

@@ -179,6 +179,7 @@ def open_system(
         points=equations.law.opens_at,
         integrals=equations.integrals,
         plant_states=equations.plant_states,
+        stepped=equations.stepped,
         law=type(equations.law).__name__,
     )
 

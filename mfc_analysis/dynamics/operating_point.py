@@ -94,6 +94,9 @@ def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPo
             slots["theta"] = q + wanted / springs.stiffness
             slots["omega"] = v
             wanted = wanted + springs.motor_inertia * a
+        if "q_before" in slots:
+            motor = springs is not None and springs.motor_encoder
+            slots["q_before"] = (slots["theta"] if motor else q) - equations.sample_time * v
         if "v_filter" in slots:
             slots["v_filter"] = encoder
         if "F_filter" in slots:

@@ -51,8 +51,11 @@ def start_state(
     if springs is not None:
         static = value(e.plant.rnea(slots["q"], slots["v"], asked.a[0])) + value(e.plant.jacobian_transpose(slots["q"], F))
         slots["theta"], slots["omega"] = slots["q"] + static / springs.stiffness, np.array(slots["v"])
+    motor = springs is not None and springs.motor_encoder
+    if "q_before" in slots:
+        slots["q_before"] = slots["theta" if motor else "q"] - e.sample_time * slots["omega" if motor else "v"]
     if "v_filter" in slots:
-        slots["v_filter"] = np.array(slots["omega"] if springs is not None and springs.motor_encoder else slots["v"])
+        slots["v_filter"] = np.array(slots["omega" if motor else "v"])
     if "F_filter" in slots:
         slots["F_filter"] = np.array(F)
     if "lag" in slots:

@@ -151,11 +151,12 @@ class InverseDynamics(JointLaw):
     With an exact model q'' = a_q: n decoupled double integrators.
 
     Args:
-        outer: e -> a_q [1/s^2]: a proper continuous python-control LTI system (SISO: one copy for each joint; or n x n), or
-            its matrices (A, B, C, D); ``dict(kp=, ki=, kd=)`` for a PID.
+        outer: e -> a_q [1/s^2]: a proper python-control LTI system (SISO: one copy for each joint; or n x n), or its matrices
+            (A, B, C, D) or (A, B, C, D, dt); ``dict(kp=, ki=, kd=)`` for a PID. A discrete one, a difference equation as it is coded, runs
+            at its own dt [s], which must be the ``sample_time`` of the hardware.
 
     Raises:
-        BadArgument: the system is improper, discrete, or neither 1 x 1 nor n x n; an unknown key.
+        BadArgument: the system is improper, discrete without its dt, or neither 1 x 1 nor n x n; an unknown key.
     """
 
     outer: Any
@@ -163,6 +164,7 @@ class InverseDynamics(JointLaw):
     ki: Gain = field(init=False, repr=False)
     kd: Gain = field(init=False, repr=False)
     system: tuple[Array, Array, Array, Array] | None = field(init=False, repr=False)  #: A, B, C, D; None: a PID
+    sample_time: float | None = field(init=False, repr=False)  #: [s] of a discrete outer loop
     equation = "9.11"
     opens_at = ("torque", "command", "position")
     typst = "u = hat(M)(q) a_q + hat(C)(q, dot(q)) dot(q) + hat(g)(q)"
@@ -170,20 +172,21 @@ class InverseDynamics(JointLaw):
 
     def __post_init__(self) -> None:
         given: Mapping[str, Any] = {}
-        system = None
+        system, dt = None, None
         if isinstance(self.outer, Mapping):
             given = self.outer
             unknown = set(given) - {"kp", "ki", "kd"}
             if unknown or not given:
                 raise BadArgument("outer", dict(given), "dict(kp=, ki=, kd=) with at least one of them, or a python-control LTI system")
         else:
-            system = state_space("outer", self.outer)
+            system, dt = state_space("outer", self.outer)
         for name in ("kp", "ki", "kd"):
             object.__setattr__(self, name, Gain(name, given.get(name)))
         object.__setattr__(self, "system", system)
+        object.__setattr__(self, "sample_time", dt)
 
     def __getstate__(self) -> dict[str, Any]:  # a control system does not pickle; its matrices do
-        return vars(self) if self.system is None else {**vars(self), "outer": self.system}
+        return vars(self) if self.system is None else {**vars(self), "outer": (*self.system, self.sample_time or 0)}
 
     def gains(self) -> dict[str, Gain]:
         """The PID's gains; empty for an LTI outer loop."""
@@ -215,10 +218,11 @@ class InverseDynamics(JointLaw):
         """z of the PID, or the states of the LTI outer loop, of which the integrators are trimmed."""
         if self.system is None:
             return super().slots(joints)
+        discrete = self.sample_time is not None
         A = self.matrices(len(joints))[0]
-        _, sigma, right = np.linalg.svd(A)
+        _, sigma, right = np.linalg.svd(A - np.eye(len(A)) if discrete else A)
         at_rest = right[sigma <= 1e-10 * max(1.0, float(sigma.max(initial=0.0)))].T
-        return (Slot("outer", tuple(str(i) for i in range(len(A))), integral=False, trim=at_rest),) if len(A) else ()
+        return (Slot("outer", tuple(str(i) for i in range(len(A))), integral=False, trim=at_rest, stepped=discrete),) if len(A) else ()
 
     def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """tau = M^(q) (a_d + outer(e)) + h^(q, v)."""
@@ -235,26 +239,30 @@ class InverseDynamics(JointLaw):
         x = now["outer"]
         if x is None:
             return matvec(D, e), {}
-        return matvec(D, e) + matvec(C, x), {"outer": matvec(A, x) + matvec(B, e)}
+        rate = matvec(A, x) + matvec(B, e)
+        if self.sample_time is not None:
+            rate = (rate - x) * (1 / self.sample_time)
+        return matvec(D, e) + matvec(C, x), {"outer": rate}
 
 
-def state_space(argument: str, system: Any) -> tuple[Array, Array, Array, Array]:
-    """A, B, C, D of a proper continuous LTI system. Raises BadArgument."""
+def state_space(argument: str, system: Any) -> tuple[tuple[Array, Array, Array, Array], float | None]:
+    """A, B, C, D of a proper LTI system, and its dt [s], None: continuous. Raises BadArgument."""
     import control
 
-    takes = "a proper, continuous python-control LTI system (StateSpace or TransferFunction), or dict(kp=, ki=, kd=)"
-    if isinstance(system, tuple) and len(system) == 4:
-        A, B, C, D = (checks.array(argument, M) for M in system)
+    takes = "a proper python-control LTI system (StateSpace or TransferFunction), continuous or with its dt in seconds, or dict(kp=, ki=, kd=)"
+    if isinstance(system, tuple) and len(system) in (4, 5):
+        A, B, C, D = (checks.array(argument, M) for M in system[:4])
+        dt = checks.number(argument, system[4], low=0.0) if len(system) == 5 else 0
         try:
-            system = control.ss(A, B, C, D)
+            system = control.ss(A, B, C, D, dt)
         except (ValueError, TypeError) as why:
             raise BadArgument(argument, f"shapes {', '.join(str(M.shape) for M in (A, B, C, D))}", "A, B, C, D that fit together") from why
     if isinstance(system, (int, float)):
         system = control.ss([], [], [], [[checks.number(argument, system)]])
     if not isinstance(system, (control.StateSpace, control.TransferFunction)):
         raise BadArgument(argument, system, takes)
-    if system.dt not in (None, 0):
-        raise BadArgument(argument, f"a discrete system with dt = {system.dt}", takes)
+    if system.dt is True:
+        raise BadArgument(argument, "a discrete system without its dt", takes)
     if isinstance(system, control.TransferFunction):
         for row in range(system.noutputs):
             for column in range(system.ninputs):
@@ -263,7 +271,7 @@ def state_space(argument: str, system: Any) -> tuple[Array, Array, Array, Array]
                     raise BadArgument(argument, f"an improper transfer function (degree {num.size - 1} over {den.size - 1})", takes)
         system = control.ss(system) if system.issiso() else control.tf2ss(system)
     A, B, C, D = (checks.array(argument, M) for M in (system.A, system.B, system.C, system.D))
-    return A, B, C, D
+    return (A, B, C, D), float(system.dt) if system.dt else None
 
 
 def mass_matrix(given: ArrayLike) -> Array:

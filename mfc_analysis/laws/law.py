@@ -50,6 +50,7 @@ class Slot(NamedTuple):
     integral: bool = True  #: True: an integral of an error, dropped where it acts on nothing
     #: (k, r) directions of the k states that an operating point trims, so that the command fits the motion; None: all of an integral
     trim: Array | None = None
+    stepped: bool = False  #: True: a state of sampled code, x + T x' at the next sample; False: of a differential equation, advanced exactly
 
     @property
     def trimmed(self) -> Array:
@@ -118,6 +119,7 @@ class Law(ABC):
     units: ClassVar[Mapping[str, str]] = {}  #: gain -> unit
     damping: float = 0.0  #: [-] of the inverse of J, where the law has one; 0: raises NearSingular near a singularity
     selection: Selection | None = None  #: the directions that a tool law controls; None: all six
+    sample_time: float | None = None  #: [s] of a law that is a difference equation; None: it is a differential equation
     anti_windup: float | None = None  #: [s] time constant of back-calculation where a torque saturates, of laws that have it; None: none
 
     def __init_subclass__(cls, **options: Any) -> None:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mfc_analysis.analysis.sampled import own_step
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, timed
 from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, times, value
-from mfc_analysis.maths.zero_order_hold import zero_order_hold
 from mfc_analysis.simulation.run import HELD, Run
 
 
@@ -80,9 +80,10 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
 
 
 def own_states_step(e: Equations, t: float, x0: Array, T: float) -> Array:
-    """The matrix (..., k, k) that takes the rates of the law's own states to their change over a sample with inputs held: T phi_1(T A_own)."""
+    """The matrix (..., k, k) that takes the rates of the law's own states to their change over a sample with inputs held."""
     A = own_matrix(e, t, x0)
-    return np.asarray(zero_order_hold(A, np.eye(A.shape[-1]), T)[1]) if A.size else A
+    own = np.setdiff1d(np.arange(e.nx), np.array(e.plant_states, int))
+    return own_step(A, np.isin(own, e.stepped), T) if A.size else A
 
 
 def own_matrix(e: Equations, t: float, x0: Array) -> Array:

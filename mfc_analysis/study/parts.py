@@ -386,10 +386,11 @@ def _is_required(kind: type, name: str) -> bool:
 def _outer(table: OuterTable) -> Any:
     import control
 
+    dt = table.dt or 0
     if table.num is not None:
-        return control.tf(table.num, table.den)
+        return control.tf(table.num, table.den, dt)
     if table.A is not None:
-        return control.ss(table.A, table.B, table.C, table.D)
+        return control.ss(table.A, table.B, table.C, table.D, dt)
     return table.given()
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
 from mfc_analysis.analysis.loop_step import SettlingStep
+from mfc_analysis.dynamics.coded import Rule
 from mfc_analysis.robots.catalogue import EMBEDDED
 from mfc_analysis.study.tables import Directions, Number, Pose, ReferenceTable, Table, Three, Values, Vector, is_number, takes
 
@@ -126,7 +127,7 @@ class GainsTable(Table):
 
 
 class OuterTable(Table):
-    """Outer loop of 9.11: a PID, a transfer function (num, den), or matrices A, B, C, D."""
+    """Outer loop of 9.11: a PID, a transfer function (num, den), or matrices A, B, C, D; the latter two with their dt [s] where discrete."""
 
     kp: Values | None = None
     ki: Values | None = None
@@ -137,13 +138,14 @@ class OuterTable(Table):
     B: Values | None = None
     C: Values | None = None
     D: Values | None = None
+    dt: Number | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> OuterTable:
         kinds = [{"kp", "ki", "kd"}, {"num", "den"}, {"A", "B", "C", "D"}]
         used = [kind for kind in kinds if kind & self.model_fields_set]
-        if len(used) != 1 or (used[0] != kinds[0] and used[0] != self.model_fields_set):
-            raise takes("some of kp, ki, kd; or num and den; or A, B, C and D")
+        if len(used) != 1 or (used[0] != kinds[0] and used[0] != self.model_fields_set - {"dt"}) or (used[0] == kinds[0] and self.dt is not None):
+            raise takes("some of kp, ki, kd; or num and den; or A, B, C and D, with dt where discrete")
         return self
 
 
@@ -224,6 +226,8 @@ class HardwareTable(Table):
     motor_inertia: Values | None = None
     torque_limit: Values | None = None
     feedback: Literal["motor", "link"] = "motor"
+    integral_rule: Rule = "forward"
+    derivative_rule: Rule | None = None
 
 
 # --- times, requirements, ranges -----------------------------------------------------------------------------------------

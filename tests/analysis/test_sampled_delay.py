@@ -61,6 +61,20 @@ def test_every_channel_of_random_arms_loses_stability_where_the_margin_says(seed
     assert compared(made, Counter(), 12, channels=2) == [], said
 
 
+def test_the_delay_margin_of_an_encoder_is_that_of_the_only_loop_through_it() -> None:
+    """One joint: dead time in the actuator or in the encoder, the loop is the same."""
+    rules = {"integral_rule": "tustin", "derivative_rule": "backward", "velocity_filter": 8e-3}
+    joint, hold = mfc.robots.single_joint(inertia=0.7, mass=0.0, damping=0.4), mfc.trajectories.Hold([0.0])
+    for law, first, hardware in (
+        (mfc.laws.JointPID(60.0, 90.0, 9.0), "torque", {"sample_time": 5e-3, **rules}),
+        (mfc.laws.VelocityPI(20.0, 30.0), "velocity", {"sample_time": 5e-3, "delay": 3e-3, "velocity_lag": 4e-3}),
+    ):
+        lin = mfc.ClosedLoop(joint, law, hold, hardware=mfc.Hardware(**hardware)).linearize([0.0])
+        one, other = lin.margins(first), lin.margins("position")
+        for figure in ("gain_increase", "phase_deg", "delay", "sensitivity_peak"):
+            assert getattr(other, figure)[0, 0] == pytest.approx(getattr(one, figure)[0, 0], rel=1e-9), figure
+
+
 def test_an_unstable_loop_has_no_delay_margin() -> None:
     found = velocity_p(25.0, 0.1).linearize([0.0]).margins()
     assert not found.stable[0] and np.isnan(found.delay).all()

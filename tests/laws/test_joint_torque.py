@@ -282,7 +282,7 @@ def test_an_outer_loop_with_an_integrator_is_trimmed_like_the_pid() -> None:
 
 @pytest.mark.parametrize(("outer", "said"), [
     (control.tf([1, 2, 3], [1, 1]), "improper"),
-    (control.ss([0.5], [1.0], [1.0], [0.0], 0.01), "discrete"),
+    (control.ss([0.5], [1.0], [1.0], [0.0], True), "discrete"),
     (control.ss([], [], [], np.eye(3)), "one input and output"),
     ({"kp": 1.0, "kv": 2.0}, "kp="),
     ({}, "kp="),

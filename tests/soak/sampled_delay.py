@@ -1,6 +1,6 @@
 """Soak: the delay margins of random sampled loops against a scan and a bisection on the exact resampled loop, written apart.
 
-Joint, task, force and hybrid laws, lag, dead time of torque and force, filters, elastic joints, walls; every channel of every analysis
+Joint, task, force and hybrid laws, lag, dead time of torque and force, filters, rules of code, elastic joints, walls; every channel of every analysis
 point. Not collected by pytest and not part of CI: ``python tests/soak/sampled_delay.py [count] [first]``. Exit code 1 on a difference above
 1e-6 or an exception.
 
@@ -51,9 +51,14 @@ class Resampled:
         self.A, self.nw = A, held.nw
         self.drive = np.arange(held.nw)[held.wires.get("torque", held.wires.get("velocity"))]
         self.command = np.arange(held.nw)[held.wires["command"]] if "command" in held.wires else np.zeros(0, int)
-        self.force = np.arange(held.nw)[held.wires["force"]] if "force" in held.wires else np.zeros(0, int)
+        sensed = [name for name in ("force", "position") if name in held.wires and not (name == "position" and "rate" in held.wires)]
+        self.sensors = np.concatenate([np.zeros(0, int), *(np.arange(held.nw)[held.wires[name]] for name in sensed)])
         self.T = held.wire_delay.copy()
-        self.Ac = expm(np.block([[A[np.ix_(self.c, self.c)], np.eye(self.c.size)], [np.zeros((self.c.size, 2 * self.c.size))]]) * h)
+        coded = np.isin(self.c, held.stepped)
+        own = A[np.ix_(self.c, self.c)]
+        smooth = np.where(coded[:, None] | coded, 0.0, own)
+        self.Ac = expm(np.block([[smooth, np.eye(self.c.size)], [np.zeros((self.c.size, 2 * self.c.size))]]) * h)
+        self.code = own - smooth
         self.idle = np.array([i for i in held.integrals if not A[:, i].any() and not self.C[:, i].any()], int)
 
     def step(self, wire: int, extra: float) -> np.ndarray:
@@ -69,7 +74,7 @@ class Resampled:
         split = [(int(np.floor(T / h + 1e-9)), T / h - np.floor(T / h + 1e-9)) for _, T, _ in sources]
         split = [(whole, part if part > 1e-9 else 0.0) for whole, part in split]
         slow = []
-        for w in self.force:
+        for w in self.sensors:
             whole = int(np.floor(late[w] / h + 1e-9))
             part = late[w] / h - whole
             slow.append((w, whole, part if part > 1e-9 else 0.0))
@@ -85,15 +90,15 @@ class Resampled:
             size += depth
         one = np.eye(size)
         x, xc = one[: p.size], one[p.size : p.size + c.size]
-        # direct terms of the drives into the force at the start of the sample
-        Dfd = self.D[np.ix_(self.force, self.drive)] if self.force.size else np.zeros((0, self.drive.size))
+        # direct terms of the drives into the sensors at the start of the sample
+        Dfd = self.D[np.ix_(self.sensors, self.drive)] if self.sensors.size else np.zeros((0, self.drive.size))
         assert not Dfd.any() and not self.D[np.ix_(self.drive, self.drive)].any()
         w_out = np.zeros((self.nw, size))
-        F = self.C[np.ix_(self.force, p)] @ x
-        arrived = np.array([F[k] if not seen[k].size else one[seen[k][-1]] for k in range(self.force.size)]).reshape(-1, size)
-        w_out[self.force] = arrived
-        others = np.setdiff1d(np.arange(self.nw), np.concatenate([self.force, self.drive]))
-        known = self.C[np.ix_(others, np.r_[p, c])] @ np.concatenate([x, xc]) + self.D[np.ix_(others, self.force)] @ arrived
+        F = self.C[np.ix_(self.sensors, p)] @ x
+        arrived = np.array([F[k] if not seen[k].size else one[seen[k][-1]] for k in range(self.sensors.size)]).reshape(-1, size)
+        w_out[self.sensors] = arrived
+        others = np.setdiff1d(np.arange(self.nw), np.concatenate([self.sensors, self.drive]))
+        known = self.C[np.ix_(others, np.r_[p, c])] @ np.concatenate([x, xc]) + self.D[np.ix_(others, self.sensors)] @ arrived
         w_out[others] = np.linalg.solve(np.eye(others.size) - self.D[np.ix_(others, others)], known)
         through = w_out.copy()
         if wire in self.command:
@@ -103,6 +108,7 @@ class Resampled:
         rest = np.setdiff1d(np.arange(self.nw), self.drive)
         held = self.A[np.ix_(c, p)] @ x + self.B[np.ix_(c, rest)] @ w_out[rest]
         assert not self.B[np.ix_(c, self.drive)].any() and not (wire in self.command and self.B[c, wire].any())
+        held = held + self.code @ xc
         new = np.zeros((size, size))
         new[p.size : p.size + c.size] = self.Ac[: c.size, : c.size] @ xc + self.Ac[: c.size, c.size :] @ held
 
@@ -208,6 +214,10 @@ def one_drawn(seed: int, attempt: int) -> tuple[str, mfc.ClosedLoop]:
         hardware |= {"joint_stiffness": g(2, 5), "motor_inertia": g(-2, 0), "joint_damping": g(-1, 2), "feedback": str(rng.choice(["motor", "link"]))}
     if rng.random() < 0.2 and not velocity:
         hardware["velocity_filter"] = h * g(-1, 1)
+    if seed % 3 == 0:  # as it is coded
+        hardware["integral_rule"] = str(rng.choice(["backward", "tustin"]))
+        if not velocity:
+            hardware["derivative_rule"] = "backward"
     wall = mfc.Environment(stiffness=g(2, 5), damping=g(0, 3), axes="z", preload=10.0) if name in WALLS else None
     model = robot.with_inertia_scaled(rng.uniform(0.8, 1.1)) if name in ("9.10", "9.16", "9.24") and rng.random() < 0.7 else None
     task = name in ("9.5", "9.16")
@@ -273,8 +283,8 @@ def compared(loop: mfc.ClosedLoop, found: Counter[str], steps: int = STEPS, chan
         found["unstable loops"] += 1
         return [] if np.isnan(lin.margins().delay).all() else ["unstable, but not NaN"]
     h = lin.dt
-    assert loop.hardware is not None
-    held = replace(loop, hardware=replace(loop.hardware, sample_time=None)).linearize([0.0], coordinates=lin.coordinates).opened
+    held = lin.opened.held
+    assert held is not None
     second = Resampled(held, h, lin.horizon)
     for at in lin.opened.points:
         of = lin.margins(at)

@@ -251,6 +251,17 @@ def test_each_law_of_the_chapter_runs_from_a_study(tmp_path, number):
     assert np.isfinite(one.loop.linearize(one.times).A).all()
 
 
+def test_a_sampled_controller_as_it_is_coded():
+    hardware = {"sample_time": 0.01, "integral_rule": "tustin", "derivative_rule": "backward", "velocity_filter": 0.02}
+    outer = {"num": [10.0, -9.0], "den": [1.0, -0.5], "dt": 0.01}
+    made = parts(law={"equation": "9.11", "outer": outer}, hardware=hardware)
+    assert made.law.sample_time == 0.01
+    assert (made.hardware().integral_rule, made.hardware().derivative_rule) == ("tustin", "backward")
+    for bad in ({"kp": 1.0, "dt": 0.01}, {"num": [1.0], "dt": 0.01}):
+        with pytest.raises(ValueError, match="dt"):
+            parts(law={"equation": "9.11", "outer": bad})
+
+
 def test_the_inverse_of_a_redundant_arm_is_a_key():
     law = {"equation": "9.16", "kp": 100.0, "kd": 20.0, "null_damping": 5.0}
     assert parts(law=law).law.inverse == "dynamic"

@@ -32,6 +32,7 @@ _HARDWARE = {
     "motor_inertia": ("motor inertia", "kg m²"),
     "torque_limit": ("torque limit", "Nm"),
 }
+RULES = {"forward": "forward Euler", "backward": "backward Euler", "tustin": "Tustin"}
 
 
 def the_loop(view: View) -> Section:
@@ -110,6 +111,10 @@ def parameters(view: View) -> tuple[Block, ...]:
             facts.append((word, f"{array_words(np.asarray(given, float))} {unit_words(unit, view.loop.robot.joint_units)}"))
     if hardware.elastic:
         facts.append(("encoder of the elastic joints", hardware.feedback))
+    if hardware.sample_time:
+        facts.append(("integrals of the sampled controller", f"{RULES[hardware.integral_rule]} sums"))
+    if hardware.derivative_rule is not None:
+        facts.append(("velocity of the sampled controller", f"differences of the encoder over a sample, {RULES[hardware.derivative_rule]} rule"))
     if hardware.ideal:
         facts.append(("hardware", "ideal: no lag, dead time, sampling, filter, flexibility or limit"))
     for k, surface in enumerate(view.loop.equations.surfaces):
