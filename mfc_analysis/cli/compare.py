@@ -42,11 +42,8 @@ def costs(title: str, found: Attribution) -> None:
 def _picture(out: Path, name: str, found: Attribution) -> Path:
     from mfc_analysis import plots
     from mfc_analysis.maths import files
-    from mfc_analysis.study.compare import titles
 
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"costs-{name}.svg"
-    (label, title), k = titles(found), found.shown
-    axes = plots.costs(found.factors, found.first[:, k], found.last[:, k], float(found.joint[k]), xlabel=label, title=title)
-    files.write(path, plots.svg(lambda: axes).encode("utf-8"))
+    files.write(path, plots.svg(lambda: found.plot(ax=plots.axes_for("costs"))).encode("utf-8"))
     return path

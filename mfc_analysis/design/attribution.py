@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,12 +19,16 @@ from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.notebook import Shown
+from mfc_analysis.notebook import table
 from mfc_analysis.requirements.evidence import Evidence, Found
 from mfc_analysis.requirements.requirements import KINDS, Requirements
 from mfc_analysis.robots.robot import Robot
 
+if TYPE_CHECKING:
+    from mfc_analysis.plots.figure import Axes
+
 USUAL = ("phase_deg", "gain_increase_db", "delay", "sensitivity_peak")  #: metrics where no requirement is set
+SAID = "cost of each alone (in brackets: on top of all the others); positive: worse"
 SAME = 1e-9  #: relative difference of two mass matrices or torques that is rounding
 
 FIELDS: dict[str, tuple[str, ...]] = {
@@ -38,7 +42,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Attribution(Shown):
+class Attribution:
     """The metrics of a loop with f imperfections: ideal, with each alone, with all but each, and with all. k metrics; NaN: not defined."""
 
     metrics: tuple[str, ...]  #: (k,) fields of ``Requirements``
@@ -93,11 +97,26 @@ class Attribution(Shown):
         out += [("sum, each alone", *map(_cost, self.sum)), ("all together", *map(_cost, self.joint)), (self.ends[1], *map(_said, self.given))]
         return out
 
+    def plot(self, metric: str | None = None, *, ax: Axes | None = None) -> Axes:
+        """Bars of the costs in one metric, where the margin went: of each alone and on top of all the others, of all together.
+
+        ``metric``: one of ``metrics``; None: ``shown``. ``ax``: to draw in; None: a new figure of pyplot. Raises BadArgument.
+        """
+        from mfc_analysis import plots
+
+        k = self.shown if metric is None else self.metrics.index(checks.choice("metric", metric, self.metrics))
+        kind, together = KINDS[self.metrics[k]], float(self.joint[k])
+        label, title = f"cost [{kind.unit}]" if kind.unit else "cost", f"Where the {kind.label} went"
+        return plots.costs(self.factors, self.first[:, k], self.last[:, k], together, xlabel=label, title=title, ax=plots.shown("costs", ax)[0])
+
+    def _repr_html_(self) -> str:
+        head, *rows = self.rows()
+        return table(f"{SAID[:1].upper()}{SAID[1:]}", head, rows)
+
     def __str__(self) -> str:
         rows = self.rows()
         wide = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-        said = ["cost of each alone (in brackets: on top of all the others); positive: worse"]
-        return "\n".join(said + ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, wide, strict=True)).rstrip() for row in rows])
+        return "\n".join([SAID] + ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, wide, strict=True)).rstrip() for row in rows])
 
     __repr__ = __str__
 

@@ -167,7 +167,6 @@ def would_pass_section(found: LoopLimits, *, many: bool) -> Section:
     """The limits at which the requirements are met, with what binds and its pose, and what each imperfection costs as a table and bars."""
     from mfc_analysis import plots
     from mfc_analysis.report.document.document import Block, Bullets, Column, Figure, Section, Table
-    from mfc_analysis.study.compare import titles
 
     name, costs = found.loop.name, found.costs
     head = tuple(Column(word[:1].upper() + word[1:], numeric=False) for word in COLUMNS)
@@ -177,11 +176,8 @@ def would_pass_section(found: LoopLimits, *, many: bool) -> Section:
     said = found.sentences()
     body += [Bullets(tuple(f"{text[:1].upper()}{text[1:]}." for text in said))] if said else []
     if costs.factors:
-        (label, title), k = titles(costs), costs.shown
-        bars = partial(plots.costs, costs.factors, costs.first[:, k], costs.last[:, k], float(costs.joint[k]), xlabel=label, title=title)
-        body.append(
-            Figure(bars, "Cost of each imperfection, alone in the ideal loop and on top of all the others.", f"{title}: {costs.joint[k]:.3g} in all.")
-        )
+        caption = "Cost of each imperfection, alone in the ideal loop and on top of all the others."
+        body.append(Figure(lambda: costs.plot(ax=plots.axes_for("costs")), caption, f"Where the margin went: {costs.joint[costs.shown]:.3g} in all."))
         words, *rows = costs.rows()
         caption = "Cost of each imperfection alone (in brackets: on top of all the others); positive: worse."
         body.append(Table(caption, tuple(Column(word or "Imperfection", numeric=False) for word in words), tuple(rows)))

@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from mfc_analysis.requirements.requirements import KINDS
 from mfc_analysis.study.check import LoopCheck, check
 from mfc_analysis.study.tables import Table
 
@@ -117,9 +116,3 @@ def _did(one: StudyLoop, other: StudyLoop) -> Attribution | None:
         return attributed(between, tuple(keys), asked, other.times, other.at, ("first", "second"))
     except MfcError:
         return None
-
-
-def titles(found: Attribution) -> tuple[str, str]:
-    """Axis label and title of the bars of the metric that is drawn."""
-    kind = KINDS[found.metrics[found.shown]]
-    return f"cost [{kind.unit}]" if kind.unit else "cost", f"Where the {kind.label} went"

@@ -50,6 +50,7 @@ TEMPLATE = """\
 #
 #   mfc-analysis check {file}             requirements only: exit code 0 met, 1 not met, 2 bad input
 #   mfc-analysis report {file} --out out  HTML, PDF and JSON
+#   mfc-analysis limits {file}            the largest payload, dead time, bandwidth ... at which the requirements are met
 #
 # SI units and radians, except for keys that end in _deg or _hz. File names are relative to this file.
 
@@ -113,6 +114,10 @@ sensitivity_peak = 2.0
 # [ranges]                                 # every combination is checked; the controller's model does not change
 # payload = [0.0, 1.0, 2.0]
 # torque_lag = {{low = 0.001, high = 0.004, count = 4}}
+
+# [design]
+# tune = {{bandwidth_hz = [1, 20], damping = [0.5, 2.0]}}    # the fastest gains of law.gains that meet the requirements over the ranges
+# limits = true                            # the tables of "mfc-analysis limits" in the report
 """
 
 
