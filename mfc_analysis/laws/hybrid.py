@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.force import FORCE_INTEGRAL, FORCE_UNITS
 from mfc_analysis.laws.gain import Gain
-from mfc_analysis.laws.law import TWIST, Action, Measured, Slot, Tap, ToolLaw, ToolReference, define
+from mfc_analysis.laws.law import Action, Measured, Slot, Tap, ToolLaw, ToolReference, define
 from mfc_analysis.laws.task_torque import tool_acceleration
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, matvec, times, value
 from mfc_analysis.robots.primitives import Primitives
+from mfc_analysis.robots.tool_task import ToolTask
 
 
 @define
@@ -34,6 +35,8 @@ class HybridMotionForce(ToolLaw):
         constraints: (k, 6) rows A with A V_b = 0, constant in the tool frame, or a ``ConstraintSet``.
         projection: "dynamic": P = 1 - A^T (A Lambda^-1 A^T)^-1 A Lambda^-1; "selection": 1 - A^T A, orthonormal rows only.
         form: "standard"; "printed": eta inside (1 - P), V_d' and X_e' as on the page; "printed_eta": only eta misplaced.
+        axes: the directions of the tool that the law controls, by motion or force, on an arm that cannot move it along all six, such as
+            "xyzrz" on a SCARA; see ``TaskComputedTorque``. The constraints are among them, and motion gains have one entry for each.
 
     On a redundant arm all of h^ is compensated (J^T eta = h - J^T Lambda J' v), so the null space has the damping of the plant only.
     """
@@ -48,6 +51,7 @@ class HybridMotionForce(ToolLaw):
     constraints: Any = None
     projection: Literal["dynamic", "selection"] = "dynamic"
     form: Literal["standard", "printed", "printed_eta"] = "standard"
+    axes: Any = None
     rows: Array = field(init=False, repr=False)  #: (k, 6) the constraints as rows A
     equation = "9.24"
     opens_at = ("torque", "command", "position", "force")
@@ -73,17 +77,25 @@ class HybridMotionForce(ToolLaw):
         if self.projection == "selection" and np.abs(A @ A.T - np.eye(len(A))).max() > 1e-9:
             raise BadArgument("constraints", A, 'orthonormal rows for projection="selection"')
         set_(self, "rows", A)
+        self.select()
+        if self.selection is not None:
+            S = self.selection.rows
+            if np.abs(A - A @ S.T @ S).max() > 1e-9 * np.abs(A).max():
+                raise BadArgument("constraints", A, f"rows within the selected directions, axes={self.selection.axes!r}")
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless all gains have six components and the arm has six joints or more."""
-        super().check(n)
-        if n < 6:
-            takes = "an arm of six joints or more, as Lambda needs a J of full rank; with fewer, DampedForcePI (9.23) presses and"
-            raise BadArgument("law", f"HybridMotionForce on {n} joints", f"{takes} TaskComputedTorque(axes=) (9.16) moves the tool")
+        """Raise BadArgument unless the gains fit and the arm has a joint for each direction: six, or those of ``axes``."""
+        size = 6 if self.selection is None else len(self.selection.rows)
+        for name, gain in self.gains().items():
+            motion = name in ("kp", "ki", "kd")
+            gain.check(size if motion else 6, "directions of motion" if motion else "components of the wrench")
+        if n < size:
+            takes = "a joint for each direction, as Lambda needs a J of full rank; axes= selects those that the arm can move"
+            raise BadArgument("law", f"HybridMotionForce on {n} joints", takes)
 
     def slots(self, joints: tuple[str, ...]) -> tuple[Slot, ...]:
         """z and z_f, where ki and kfi are given."""
-        motion = (Slot("z", TWIST),) if self.ki else ()
+        motion = (Slot("z", self.error_channels(joints)),) if self.ki else ()
         return (*motion, FORCE_INTEGRAL) if self.kfi else motion
 
     @property
@@ -105,32 +117,31 @@ class HybridMotionForce(ToolLaw):
         F_e = ref.F_d - now.F
         f = ref.F_d + self.kfp @ F_e + self.kfi @ now["z_f"] - self.kdamp @ V
         rates = ({"z": X_e} if self.ki else {}) | ({"z_f": F_e} if self.kfi else {})
-        h = model.bias(q, v)
+        h, drift = model.bias(q, v), task.through(model.jacobian_dot(q, v))
+        push = task.selected(f)
         if self.form == "standard":
-            wrench = self._split(model, q, c, f, minus=model.jacobian_dot(q, v))
-            return Action(model.jacobian_transpose(q, wrench) + h, rates, X_e)
-        eta = model.task_mass(q, model.jacobian(q, model.solve_mass(q, h)) - model.jacobian_dot(q, v))
-        return Action(model.jacobian_transpose(q, self._split(model, q, c, f + eta, minus=0.0)), rates, X_e)
+            return Action(task.torque(self._split(task, c, push, minus=drift)) + h, rates, X_e)
+        eta = task.mass(task.acceleration(h) - drift)
+        return Action(task.torque(self._split(task, c, push + eta, minus=None)), rates, X_e)
 
-    def _split(self, model: Primitives, q: Vector, c: Vector, f: Vector, minus: Vector) -> Vector:
-        """P Lambda c + (1 - P) f - Lambda minus."""
-        A = self.rows
-        if len(A) == 6:  # P = 0: no motion is left to control
-            return f if isinstance(minus, float) else f - model.task_mass(q, minus)
+    def _split(self, task: ToolTask, c: Vector, f: Vector, minus: Vector | None) -> Vector:
+        """P Lambda c + (1 - P) f - Lambda minus, along the k directions of the task."""
+        A = self.rows if self.selection is None else self.rows @ self.selection.rows.T
+        moved = c if minus is None else c - minus
+        if len(A) == task.size:  # P = 0: no motion is left to control
+            return f if minus is None else f - task.mass(minus)
         if self.projection == "selection":
             S = A.T @ A
-            if isinstance(minus, float):
-                return matvec(np.eye(6) - S, model.task_mass(q, c)) + matvec(S, f)
-            return matvec(np.eye(6) - S, model.task_mass(q, c - minus)) - matvec(S, model.task_mass(q, minus) - f)
+            held = f if minus is None else f - task.mass(minus)
+            return matvec(np.eye(task.size) - S, task.mass(moved)) + matvec(S, held)
         # P Lambda c + (1 - P) f = Lambda c + A^T l with (A Lambda^-1 A^T) l = A (Lambda^-1 f - c)
-        inertia = np.asarray(np.linalg.inv(model.at(value(q)).Lambda), float)
-        S = np.asarray(np.linalg.inv(A @ inertia @ A.T), float)
-        held = times(S, matvec_plain(A, times(inertia, value(f)) - value(c)))
+        S = np.asarray(np.linalg.inv(A @ task.mobility @ A.T), float)
+        held = times(S, matvec_plain(A, times(task.mobility, value(f)) - value(c)))
         multiplier: Vector = held
-        if any(isinstance(x, Dual) for x in (q, c, f)):
-            rest = matvec(A, model.mobility(q, f - held @ A) - c)  # its value is 0; its tangent is that of the implicit rule
+        if any(isinstance(x, Dual) for x in (task.q, c, f)):
+            rest = matvec(A, task.acceleration(task.torque(f - held @ A)) - c)  # its value is 0; its tangent is that of the implicit rule
             multiplier = held + matvec(S, rest)
-        return model.task_mass(q, c - minus) + matvec(A.T, multiplier)
+        return task.mass(moved) + matvec(A.T, multiplier)
 
 
 def matvec_plain(A: Array, x: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from mfc_analysis.analysis.loop_step import SettlingStep, loop_step
 from mfc_analysis.analysis.steps import pair_metrics
 from mfc_analysis.analysis.system import OpenSystem
-from mfc_analysis.laws.law import TWIST, WRENCH
+from mfc_analysis.laws.law import WRENCH
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.notebook import Shown
 
@@ -79,15 +79,15 @@ def followed(lin: Linearization) -> tuple[OpenSystem, list[tuple[str, str, str]]
     rows = law.force_directions
     if rows is None:
         return system, [(f"X_d_{c}", f"X_{c}", f"X_{c}") for c in directions]
-    moving = tuple(i for i in range(6) if _held(rows)[i] < 0.5)
-    pairs = [(f"X_d_{TWIST[i]}", f"X_{TWIST[i]}", f"X_{TWIST[i]}") for i in moving]
-    return system, pairs + _forces(lin, tuple(i for i in range(6) if i not in moving))
+    S = np.eye(6) if law.selection is None else law.selection.rows
+    pairs = [(f"X_d_{c}", f"X_{c}", f"X_{c}") for c, held in zip(directions, _held(rows, S), strict=True) if held < 0.5]
+    return system, pairs + _forces(lin, tuple(np.flatnonzero(_held(rows, np.eye(6)) >= 0.5).tolist()))
 
 
-def _held(rows: Array) -> Array:
-    """(6,) fraction of each axis that lies in the span of the constraint rows, 0 to 1."""
+def _held(rows: Array, directions: Array) -> Array:
+    """(k,) fraction of each direction (k, 6) that lies in the span of the constraint rows, 0 to 1."""
     basis = np.linalg.svd(rows, full_matrices=False)[2]
-    return np.asarray((basis**2).sum(axis=0))
+    return np.asarray(((directions @ basis.T) ** 2).sum(axis=1))
 
 
 def _forces(lin: Linearization, axes: tuple[int, ...]) -> list[tuple[str, str, str]]:

@@ -113,6 +113,15 @@ class ToolTask:
         """(..., n) the smallest joint velocity that moves the tool by x (..., k); as ``Primitives.solve_jacobian``."""
         return self.model.solve_jacobian(self.q, x, damping)
 
+    def acceleration(self, tau: Vector) -> Vector:
+        """(..., k) A M^-1 tau: the acceleration along these directions under joint torques alone."""
+        return self.through(self.model.jacobian(self.q, self.model.solve_mass(self.q, tau)))
+
+    @property
+    def mobility(self) -> Array:
+        """(..., k, k) Lambda^-1 = A M^-1 A^T, plain."""
+        return np.asarray(np.linalg.inv(self.model.at(value(self.q)).Lambda), float)
+
     def mass(self, x: Vector, damping: float = 0.0, mass: Array | None = None) -> Vector:
         """(..., k) Lambda x; as ``Primitives.task_mass``."""
         return self.model.task_mass(self.q, x, damping, mass)
@@ -203,6 +212,12 @@ class SelectedTask(ToolTask):
     def forward(self, x: Vector) -> Vector:
         """A x."""
         return self.through(self.model.jacobian(self.q, x))
+
+    @property
+    def mobility(self) -> Array:
+        """(..., k, k) Lambda^-1 = A M^-1 A^T, plain."""
+        M = self.model.at(value(self.q)).M
+        return np.asarray(self.A @ np.linalg.solve(M, np.swapaxes(self.A, -1, -2)), float)
 
     def check_regular(self) -> None:
         """Raises NearSingular where the condition number of A exceeds 1e6."""

@@ -8,8 +8,10 @@ from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
 from mfc_analysis import laws as L
+from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument, NearSingular, NotConverged, Unsupported
+from mfc_analysis.linearization.tracking_steps import step_metrics
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.dual import value
 from mfc_analysis.maths.se3 import exp6, inverse, log6
@@ -22,6 +24,7 @@ from tests.robots.arms import SCARA
 ARMS = {"scara": Robot.from_urdf(SCARA), "so100": arm("so100"), "ur5": arm("ur5"), "panda": arm("panda")}
 Q = {"scara": np.array([0.4, 0.9, -0.1, 0.3]), "so100": np.array([0.2, 1.5, -1.7, 0.3, 0.4])}
 ROWS = [[0.6, 0.8, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0]]
+Z, PUSH = [[0, 0, 1.0, 0, 0, 0]], [0.0, 0.0, 8.0, 0.0, 0.0, 0.0]
 TIMES = np.array([0.0, 0.37, 0.81])
 KP, KI, KD = 90.0, 40.0, 18.0
 PLACES = [("scara", "xyzrz"), ("scara", "xyz"), ("so100", "xyz"), ("ur5", "xyz"), ("ur5", ROWS), ("ur5", "xyzrz"), ("panda", "xyz")]
@@ -113,6 +116,9 @@ LAWS = {
     "9.16 printed": lambda k: L.TaskComputedTorque(full(k, KP), KI, each(k, KD), form="printed"),
     "9.16 euclidean": lambda k: L.TaskComputedTorque(KP, None, KD, null_damping=3.0, inverse="euclidean"),
     "9.16 damped": lambda k: L.TaskComputedTorque(KP, KI, KD, null_damping=3.0, damping=0.05),
+    "9.24": lambda k: L.HybridMotionForce(PUSH, full(k, KP), each(k, KI), full(k, KD), 0.5, 2.0, 30.0, constraints=Z),
+    "9.24 selection": lambda k: L.HybridMotionForce(PUSH, full(k, KP), None, KD, 0.5, constraints=Z, projection="selection"),
+    "9.24 printed": lambda k: L.HybridMotionForce(PUSH, full(k, KP), each(k, KI), full(k, KD), constraints=Z, form="printed"),
 }
 
 
@@ -132,6 +138,41 @@ def test_the_linear_model_predicts_the_run_to_second_order_and_the_run_arrives(n
     assert loop.validate(0.3).taylor_order == pytest.approx(2.0, abs=0.1)
     run = loop.simulate(4.0, initial_error=0.03)
     assert np.abs(run.error[0]).min() > 0.029 and np.abs(run.error[-1]).max() < 5e-4  # the root of the integral decays as exp(-0.48 t), times 0.02
+
+
+def test_a_scara_presses_while_it_moves_as_two_loops_of_their_own() -> None:
+    """Three copies of s^2 + kd s + kp, and m s^3 + kdamp s^2 + k (1 + kfp) s + k kfi with m = 1/(A Lambda^-1 A^T)."""
+    k, kfp, kfi, kdamp = 2e4, 0.8, 4.0, 150.0
+    law = L.HybridMotionForce(np.zeros(6), KP, kd=KD, kfp=kfp, kfi=kfi * np.eye(6)[2], kdamp=kdamp * np.eye(6)[2], constraints=Z, axes="xyzrz")
+    X = ARMS["scara"].pose(start("scara"))
+    lin = on("scara", law, ToolHold(X), environment=Environment(k, pose=X, axes="z")).linearize([0.0])
+    assert lin.coordinates == "error"
+    kept = [*range(8), 10]  # the other integrals of the force act on nothing
+    J, M = ARMS["scara"].jacobian(start("scara"))[[0, 1, 2, 5]], ARMS["scara"].mass(start("scara"))
+    m = 1 / (J @ np.linalg.solve(M, J.T))[2, 2]
+    want = np.array([1.0, kdamp / m, k * (1 + kfp) / m, k * kfi / m])
+    for _ in range(3):
+        want = np.polymul(want, [1, KD, KP])
+    assert_allclose(np.poly(lin.A[0][np.ix_(kept, kept)]), want, rtol=1e-8)
+
+
+def test_all_six_directions_selected_are_the_law_without_a_selection() -> None:
+    rows = [[0, 0.6, 0.8, 0, 0, 0], np.eye(6)[3]]
+    given = {"kp": full(6, KP), "ki": each(6, KI), "kd": full(6, KD), "kfp": 0.5, "kfi": 2.0, "kdamp": 30.0, "constraints": rows}
+    wall = Environment(1e4, 20.0, pose=ARMS["ur5"].pose(start("ur5")), axes="z", preload=5.0)
+    for more in ({}, {"projection": "selection"}, {"form": "printed_eta"}):
+        one, other = (on("ur5", L.HybridMotionForce(PUSH, **given, **more, **axes), environment=wall) for axes in ({}, {"axes": "xyzrxryrz"}))
+        assert_allclose(one.linearize(TIMES, coordinates="state").A, other.linearize(TIMES, coordinates="state").A, atol=1e-6)
+
+
+def test_steps_of_a_hybrid_selection_move_the_tool_along_what_is_free_and_press_along_the_rest() -> None:
+    X = ARMS["scara"].pose(start("scara"))
+    law = L.HybridMotionForce(PUSH, KP, kd=KD, kfp=0.5, kfi=4.0, kdamp=150.0, constraints=Z, axes="xyzrz")
+    loop = on("scara", law, ToolHold(X), environment=Environment(1e4, 20.0, axes="z", preload=8.0))
+    lin = loop.linearize([0.0])
+    assert lin.stability.nonzero_stable[0]
+    assert step_metrics(lin).channels == ("X_vx", "X_vy", "X_wz", "F_fz")
+    assert loop.validate(0.2).taylor_order == pytest.approx(2.0, abs=0.05)
 
 
 def test_margins_at_the_command_are_those_of_the_design() -> None:
@@ -227,9 +268,10 @@ def test_error_coordinates_need_a_joint_for_each_direction_and_no_more() -> None
 
 
 def test_hybrid_control_of_a_smaller_arm_says_what_to_use() -> None:
-    law = L.HybridMotionForce(np.zeros(6), KP, constraints=[[0, 0, 1, 0, 0, 0]])
-    with pytest.raises(BadArgument, match=r"DampedForcePI .* TaskComputedTorque\(axes=\)"):
-        on("scara", law)
+    with pytest.raises(BadArgument, match="axes= selects"):
+        on("scara", L.HybridMotionForce(np.zeros(6), KP, constraints=Z))
+    with pytest.raises(BadArgument, match="within the selected directions"):
+        L.HybridMotionForce(np.zeros(6), KP, constraints=[[0, 0, 1.0, 1.0, 0, 0]], axes="xyzrz")
 
 
 def test_an_initial_error_has_the_size_of_the_selection() -> None:
