@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from mfc_analysis.analysis.channels import has_rate, point_wires
+from mfc_analysis.analysis.delay.stacked import times_own
 from mfc_analysis.analysis.frequency.resolvent import CONDITION
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
@@ -89,27 +90,17 @@ class Sensitivities:
 
     def _loop(self, point: Ints, s: Complex) -> tuple[Complex, Complex]:
         k = len(self.T)
-        W = np.empty((s.size, k * k), np.complex128)
-        order = None if (np.diff(point) >= 0).all() else np.argsort(point, kind="stable")
-        if order is not None:
-            point, s = point[order], s[order]
         gap = s[:, None] - self.poles[point]
         on_pole = (np.abs(gap) <= ON_POLE * np.abs(s)[:, None]).any(axis=1)
         if on_pole.any():  # of the loop without dead time: W is infinite there, S is not
             s = np.where(on_pole, s * (1 + BESIDE), s)
             gap[on_pole] = s[on_pole, None] - self.poles[point[on_pole]]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = 1 / gap
-        first = np.flatnonzero(np.diff(point, prepend=-1))
-        group = np.cumsum(np.diff(point, prepend=point[:1]) != 0) if point.size else point
         known = self.modal[point]
-        if known.any():  # the residues of each point times all of its rows at once
-            column = np.arange(point.size) - first[group]
-            rows = np.zeros((first.size, int(column.max()) + 1, inverse.shape[1]), np.complex128)
-            rows[group, column] = inverse
-            owners = point[first]
-            residues = self.residues if owners.size == len(self.residues) else self.residues[owners]
-            W = (rows @ residues)[group, column]
+        if known.all():
+            W = times_own(1 / gap[:, None], self.residues, point)[:, 0]
+        else:
+            W = np.empty((s.size, k * k), np.complex128)
+            W[known] = times_own(1 / gap[known, None], self.residues, point[known])[:, 0]
         for i in np.unique(point[~known]).tolist():
             mine = point == i
             matrix = s[mine, None, None] * np.eye(len(self.A[i])) - self.A[i]
@@ -118,10 +109,6 @@ class Sensitivities:
         E = np.exp(-s[:, None] * (self.T[:1] if self.one_delay else self.T))
         matrix = (1 - E)[:, :, None] * W
         matrix[:, np.arange(k), np.arange(k)] += E
-        if order is not None:
-            back = np.empty_like(order)
-            back[order] = np.arange(order.size)
-            W, matrix = W[back], matrix[back]
         return W, matrix
 
 

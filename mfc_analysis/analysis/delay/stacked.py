@@ -2,7 +2,8 @@
 
 Rows of A with a single entry, as q' = v, leave the linear systems before these are solved: x_i' = a x_j without an input gives x_j = (s/a) x_i.
 Along a chain of them every state is a power of s times the state at its start, and what remains of sI - A is a polynomial in s of smaller
-matrices. Each entry that leaves is as exact as that of A from which it comes.
+matrices. Each entry that leaves is as exact as that of A from which it comes. The wires leave too: det(sI - A) det(I - E G) is one determinant
+of M - B E N, which has no poles, and one factorisation gives its phase and its rate.
 """
 
 from __future__ import annotations
@@ -10,14 +11,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
-NEAR = 1e-5  #: relative distance from a pole of G within which f is computed without G
 CHUNK = 40_000  #: complex numbers at a time: these stay in the cache
-BESIDE = 1e-11  #: relative distance from a pole of G below which f is taken beside it: nearer, its rate has no digits
+BESIDE = 1e-11  #: relative distance from a pole of G below which G is taken beside it
 SURE = 1e-9  #: relative distance from a limit at which a bound of a spectral radius settles on which side of it the radius is
 SMALLEST, LARGEST = 1e-250, 1e250  #: of a product whose phase is taken
 
@@ -80,11 +82,28 @@ class Stacked:
         return M, N, self.B[:, rows]
 
     @cached_property
-    def _slopes(self) -> tuple[Array, Array]:
-        """The derivatives of M and N."""
-        M, N, _ = self._condensed
-        powers = np.arange(1, len(M))[:, None, None, None]
-        return powers * M[1:], powers * N[1:]
+    def _characteristic(self) -> tuple[Array, Array, Array]:
+        """The different dead times T (u,), P (m, (u + 1) (d + 1), q q) and o (m,) of f = o det F, o = 1 or -1.
+
+        F = [[M, -B], [-E N, I - E D]], without a direct term M - B E N, is the sum of P with the factors z^0 .. z^d and e^(-s T_j) z^0 .. z^d.
+        """
+        M, N, B = self._condensed
+        kinds = np.unique(self.T)
+        r, direct = M.shape[2], bool(self.D.any())
+        q = r + len(self.T) if direct else r
+        P = np.zeros((len(kinds) + 1, len(M), len(self.A), q, q))
+        P[0, :, :, :r, :r] = M
+        for j, kind in enumerate(kinds, start=1):
+            late = (kind == self.T).astype(float)
+            if direct:
+                P[j, :, :, r:, :r], P[j, 0, :, r:, r:] = -late[:, None] * N, -late[:, None] * self.D
+            else:
+                P[j] = -B @ (late[:, None] * N)
+        if direct:
+            P[0, 0, :, :r, r:], P[0, 0, :, r:, r:] = -B, np.eye(len(self.T))
+        beyond = 10 * (1 + np.abs(self.open_poles).max(axis=1, initial=0.0))  # det(zI - A) is above zero there
+        sign = np.linalg.slogdet(_polynomial(M, np.arange(len(self.A)), beyond.astype(np.complex128)))[0].real
+        return kinds, np.swapaxes(P.reshape(-1, len(self.A), q * q), 0, 1).copy(), np.where(sign < 0, -1.0, 1.0)
 
     def z(self, s: Complex) -> tuple[Complex, Complex]:
         """The variable of A at s (k,), and its derivative: s and 1, or z and dz/ds of a sampled loop."""
@@ -98,33 +117,16 @@ class Stacked:
         return np.asarray(np.exp(-s[:, None] * self.T)[:, :, None], np.complex128)
 
     def gain(self, at: Ints, s: Complex) -> Complex:
-        """G (k, nd, nd) at s (k,)."""
-        return self._gain(at, self._beside_poles(at, np.asarray(s, np.complex128))[0])
-
-    def _beside_poles(self, at: Ints, s: Complex) -> tuple[Complex, Complex, Complex]:
-        """``z``, moved to the unstable side where it lies on a pole of G; its slope; and z - pole (k, nx)."""
-        z, slope = self.z(s)
-        up = z[:, None] - self.open_poles[at]
-        near = (np.abs(up) <= BESIDE * np.abs(z)[:, None]).any(axis=1)
+        """G (k, nd, nd) at s (k,); where z lies on a pole of G, beside it on the unstable side."""
+        z, _ = self.z(np.asarray(s, np.complex128))
+        near = (np.abs(z[:, None] - self.open_poles[at]) <= BESIDE * np.abs(z)[:, None]).any(axis=1)
         if near.any():
-            aside = np.maximum(BESIDE * np.abs(z), 1e-300) * (np.exp(1j * np.angle(z)) if self.dt else 1.0)
-            z = np.where(near, z + aside, z)
-            up = z[:, None] - self.open_poles[at]
-        return z, slope, up
-
-    def _gain(self, at: Ints, z: Complex) -> Complex:
+            z = np.where(near, z + np.maximum(BESIDE * np.abs(z), 1e-300) * (np.exp(1j * np.angle(z)) if self.dt else 1.0), z)
         G = np.empty((z.size, *self.D.shape[1:]), np.complex128)
         for some in self._chunks(z.size):
             M, N, B = self._at(at[some], z[some])
             G[some] = N @ _solved(M, B) + self.D[at[some]]
         return G
-
-    def _with_slope(self, at: Ints, z: Complex) -> tuple[Complex, Complex]:
-        M, N, B = self._at(at, z)
-        dM, dN = (_polynomial(p, at, z) for p in self._slopes)
-        inverse = _inverse(M)
-        X = inverse @ B
-        return N @ X + self.D[at], dN @ X - N @ (inverse @ (dM @ X))
 
     def _at(self, at: Ints, z: Complex) -> tuple[Complex, Complex, Complex]:
         M, N, B = self._condensed
@@ -149,21 +151,22 @@ class Stacked:
         return phase, rate
 
     def _value(self, at: Ints, s: Complex, poles: Complex) -> tuple[Array, Complex]:
-        z, slope, up = self._beside_poles(at, s)
-        G, dG = self._with_slope(at, z)
-        E = self.late(s)
-        loop = E * G
-        K = np.eye(len(self.T)) - loop
-        dK = self.T[:, None] * loop - (E * slope[:, None, None] if self.dt else E) * dG
+        kinds, P, sign = self._characteristic
+        z, slope = self.z(s)
+        power = np.arange(P.shape[1] // (len(kinds) + 1))
+        late = np.concatenate([np.ones((s.size, 1)), np.exp(-s[:, None] * kinds)], axis=1)[:, :, None]
+        powers = z[:, None] ** power
+        slopes = slope[:, None] * power * np.concatenate([np.zeros((s.size, 1)), powers[:, :-1]], axis=1)
+        raised = slopes[:, None] - np.concatenate([[0.0], kinds])[:, None] * powers[:, None]
+        factors = np.stack([late * powers[:, None], late * raised], axis=1).reshape(s.size, 2, -1)
+        q = round(P.shape[2] ** 0.5)
+        F, dF = np.moveaxis(times_own(factors, P, at).reshape(s.size, 2, q, q), 1, 0)
         down = z[:, None] - poles[at]
-        phase = np.angle(np.linalg.slogdet(K)[0]) + _phase(up) - _phase(down)
-        rate = np.asarray(_trace(_solved(K, dK)) + slope * ((1 / up).sum(axis=1) - (1 / down).sum(axis=1)))
-        near = np.flatnonzero((np.abs(up) < NEAR * np.abs(z)[:, None]).any(axis=1))  # beside a pole of G: from the matrix, which has none
-        if near.size:
-            M, dM = self.matrix(at[near], s[near])
-            phase[near] = np.angle(np.linalg.slogdet(M)[0]) - _phase(down[near])
-            rate[near] = _trace(_solved(M, dM)) - slope[near] * (1 / down[near]).sum(axis=1)
-        return phase, rate
+        turned = np.linalg.slogdet(F)[0]
+        root = turned == 0
+        F[root] = np.eye(q)
+        rate = np.where(root, np.inf, _trace(np.linalg.solve(F, dF)) - slope * (1 / down).sum(axis=1))
+        return np.angle(sign[at] * turned) - _phase(down), np.asarray(rate, np.complex128)
 
     def matrix(self, at: Ints, s: Complex) -> tuple[Complex, Complex]:
         """The characteristic matrix M (k, nx + nd, nx + nd) at s (k,), with det M = f, and its derivative."""
@@ -201,6 +204,23 @@ def _chains(A: Array, B: Array) -> dict[int, int]:
         if end != i and j not in follows.values() and A[:, i, j].all():
             follows[i] = j
     return follows
+
+
+def times_own(rows: Complex, matrices: NDArray[Any], at: Ints) -> Complex:
+    """(k, a, b) rows (k, a, c) times the matrices (m, c, b) of the points ``at`` (k,), all those of one point at once."""
+    order = None if (at[1:] >= at[:-1]).all() else np.argsort(at, kind="stable")
+    owner = at if order is None else at[order]
+    new = np.concatenate([np.ones(min(at.size, 1), bool), owner[1:] != owner[:-1]])
+    first, group = np.flatnonzero(new), np.cumsum(new) - 1
+    column = np.arange(at.size) - first[group]
+    if order is not None:
+        group[order], column[order] = group.copy(), column.copy()
+    some, most, (_, a, c) = owner[first], int(column.max(initial=0)) + 1, rows.shape
+    padded = np.zeros((some.size, most, a, c), np.complex128)
+    padded[group, column] = rows
+    own = matrices if some.size == len(matrices) else matrices[some]
+    product = padded.reshape(some.size, most * a, c) @ own
+    return np.asarray(product.reshape(some.size, most, a, own.shape[2])[group, column], np.complex128)
 
 
 def _polynomial(coefficients: Array, at: Ints, z: Complex) -> Complex:
@@ -265,13 +285,6 @@ def _solved(matrix: Complex, right: Complex) -> Complex:
         return np.asarray(np.linalg.solve(matrix, right), np.complex128)
     except np.linalg.LinAlgError:  # a few of them are singular to rounding
         return np.stack([_least_squares(a, b) for a, b in zip(matrix, right, strict=True)])
-
-
-def _inverse(matrix: Complex) -> Complex:
-    try:
-        return np.asarray(np.linalg.inv(matrix), np.complex128)
-    except np.linalg.LinAlgError:
-        return _solved(matrix, np.broadcast_to(np.eye(matrix.shape[-1], dtype=np.complex128), matrix.shape))
 
 
 def _least_squares(matrix: Complex, right: Complex) -> Complex:

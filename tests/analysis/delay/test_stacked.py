@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import control
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from mfc_analysis.analysis.delay.characteristic import delayed_points, stacked
-from mfc_analysis.analysis.delay.stacked import Stacked, perron
+from mfc_analysis.analysis.delay.stacked import Stacked, perron, times_own
 from tests.analysis.conftest import open_system, random_loops
 
 s = control.tf("s")
@@ -49,6 +50,34 @@ def test_the_phase_and_rate_are_those_of_the_determinant(rng):
     g = f / down.prod(axis=1)
     assert_allclose(np.exp(1j * phase), g / np.abs(g), rtol=1e-8)
     assert_allclose(rate, (ahead - behind) / (2 * step) / f - (1 / down).sum(axis=1), rtol=1e-5)
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_f_has_its_digits_on_a_pole_of_the_gain_too(rng, direct):
+    """det(sI - A) is zero there and det(I - E G) has a pole; the determinant of the whole characteristic matrix is neither."""
+    points = chained(rng)
+    points = points if direct else replace(points, D=np.zeros_like(points.D))
+    s = np.array([pole for pole in points.open_poles[2] if pole.imag >= 0 and abs(pole) > 1e-6])  # at 0 f is zero as well
+    s, at = np.concatenate([s, s * (1 + 1e-13), s * (1 + 1e-7j)]), np.full(3 * s.size, 2)
+    phase, rate = points.value(at, s, np.zeros((4, 0), complex))
+    f, df = points.matrix(at, s)
+    assert_allclose(np.exp(1j * phase), np.linalg.slogdet(f)[0], rtol=1e-8)
+    assert_allclose(rate, np.trace(np.linalg.solve(f, df), axis1=1, axis2=2), rtol=1e-8)
+
+
+def test_at_a_root_the_rate_is_infinite():
+    """x' = 0: f = s."""
+    point = Stacked(np.zeros((1, 1, 1)), np.zeros((1, 1, 1)), np.ones((1, 1, 1)), np.zeros((1, 1, 1)), np.array([0.5]))
+    rate = point.value(np.zeros(2, int), np.array([0.0, 2.0j]), np.zeros((1, 0), complex))[1]
+    assert np.isinf(rate[0])
+    assert_allclose(rate[1], 1 / 2.0j)
+
+
+def test_rows_are_multiplied_by_the_matrix_of_their_point(rng):
+    rows, matrices = rng.normal(size=(9, 2, 3)) + 1j, rng.normal(size=(5, 3, 4))
+    for at in (rng.integers(0, 5, 9), np.sort(rng.integers(0, 5, 9)), np.full(9, 3)):
+        assert_allclose(times_own(rows, matrices, at), rows @ matrices[at], rtol=1e-13)
+    assert times_own(rows[:0], matrices, np.zeros(0, int)).shape == (0, 2, 4)
 
 
 def test_an_oscillator_and_rows_with_an_input_or_another_entry_stay(rng):
