@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.delay.characteristic import Delayed, places
-from mfc_analysis.analysis.delay.grid import between
+from mfc_analysis.analysis.delay.grid import apart, between
 from mfc_analysis.analysis.delay.stacked import Stacked
+from mfc_analysis.analysis.frequency.peak import thinned
 from mfc_analysis.errors import NotConverged
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
@@ -193,11 +194,12 @@ def _along_axis(points: Stacked, poles: Complex, edge: Array, some: Ints, most: 
     if not some.size:
         return []
     s = places(points)[some]
-    size, low = np.abs(s), edge[some, None]
-    high = np.full(low.shape, np.pi / points.dt) if points.dt else np.maximum(1e3 * np.nanmax(size, axis=1, keepdims=True), low)
-    around = np.abs(s.imag)[..., None] + np.maximum(np.abs(s.real), LEAST * size)[..., None] * AROUND
-    w = _within(np.concatenate([around.reshape(len(s), -1), 1.01 * size], axis=1), low, high)
-    w = np.sort(np.concatenate([low, np.where(np.isnan(w), high, w), high], axis=1), axis=1)
+    low = edge[some, None]
+    high = np.full(low.shape, np.pi / points.dt) if points.dt else np.maximum(1e3 * np.nanmax(np.abs(s), axis=1, keepdims=True), low)
+    s = apart(np.asarray(s.real + 1j * np.abs(s.imag), np.complex128))
+    around = np.abs(s.imag)[..., None] + np.maximum(np.abs(s.real), LEAST * np.abs(s))[..., None] * AROUND
+    w = _within(np.concatenate([around.reshape(len(s), -1), 1.01 * np.abs(s)], axis=1), low, high)
+    w = thinned(np.sort(np.concatenate([low, np.where(np.isnan(w), high, w), high], axis=1), axis=1), s)
     ladder = _within(np.exp(between(np.log(w), np.full(len(w), np.log(10) / LADDER))), low, high)
     owner, w = _flat(some, np.concatenate([w, ladder], axis=1))
     if points.dt:

@@ -1,4 +1,4 @@
-"""Rows of increasing values, one for each point, that need different numbers of values between them."""
+"""Rows of values, one for each point, of which each point needs another number."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.maths.arrays import Array, Ints
+from mfc_analysis.maths.arrays import Array, Complex, Ints
+
+ALIKE = 0.4  #: two poles are alike whose decay rates differ by about this fraction, and whose frequencies by about this fraction of them
 
 
 def between(w: Array, step: Array) -> Array:
@@ -28,3 +30,20 @@ def room(row: Ints, filler: NDArray[Any]) -> tuple[NDArray[Any], Ints]:
     count = np.bincount(row, minlength=len(filler))
     column = np.arange(row.size) - np.repeat(np.cumsum(count) - count, count)
     return np.repeat(filler, int(count.max(initial=0)), axis=-1), np.asarray(column, np.int64)
+
+
+def apart(poles: Complex) -> Complex:
+    """(m, q) one of the ``poles`` (m, p) [1/s] of each kind: of those that are alike another adds nothing to a grid.
+
+    The first is repeated where a row has fewer; NaN counts as none.
+    """
+    rate, height = np.maximum(np.abs(poles.real), 1e-9 * np.abs(poles)), poles.imag
+    with np.errstate(divide="ignore", invalid="ignore"):
+        kind = np.round(np.log(rate) / ALIKE) + 1j * np.round(height / rate / ALIKE)
+    order = np.argsort(np.where(np.isnan(kind), np.inf, kind), axis=1)
+    sorted_ = np.take_along_axis(kind, order, 1)
+    new = ~np.isnan(sorted_)
+    new[:, 1:] &= sorted_[:, 1:] != sorted_[:, :-1]
+    last = np.argsort(~new, axis=1, kind="stable")[:, : max(int(new.sum(axis=1).max(initial=0)), 1)]
+    chosen = np.take_along_axis(np.take_along_axis(poles, order, 1), last, 1)
+    return np.asarray(np.where(np.take_along_axis(new, last, 1), chosen, chosen[:, :1]), np.complex128)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels
-from mfc_analysis.analysis.delay.grid import between, room
+from mfc_analysis.analysis.delay.grid import apart, between, room
 from mfc_analysis.analysis.delay.sensitivities import Sensitivities, sensitivities
 from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delays, places
 from mfc_analysis.analysis.frequency.crossings import Crossings
@@ -26,14 +26,16 @@ from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
 MOST = 40_000  #: frequencies at one point
 CHUNK = 1_000_000  #: complex numbers at a time
-NEAR, CLIMBED = 0.7, 3  #: a local maximum of at least this fraction of the highest is refined, and this many of them
-LEVEL, SAME = (
-    1e-9,
-    1e-13,
-)  #: relative rise of the last step and of the next one, to the vertex of the parabola through three places, at which the refinement ends
+NEAR, CLIMBED = 0.7, 8  #: a local maximum of at least this fraction of the highest is refined, and at most this many of them
+SURELY, RISES = 0.7, 2.0  #: least and largest rise to a maximum between three places, in units of that to the vertex of the parabola through them
+SAME = 1e-9  #: relative difference between H and the polynomial through it at the maximum at which the refinement ends
+NODES = -np.cos(np.pi * np.arange(9) / 8)  #: where H is evaluated in a bracket of a maximum, from -1 to 1 (Chebyshev),
+FINE = np.linspace(-1, 1, 65)  #: and where the polynomial through it is
+FIT = np.linalg.inv(NODES[:, None] ** np.arange(NODES.size)).T  #: its coefficients
+FINE_POWERS = FINE ** np.arange(NODES.size)[:, None]
 FLAT = 1e-9  #: relative difference of two sizes below which they count as equal
-TURN = 0.2  #: [rad] phase of e^(-jwT) between two frequencies,
-DECADE = 30  #: and frequencies in a decade
+TURN = 0.3  #: [rad] phase of e^(-jwT) between two frequencies,
+DECADE = 10  #: and frequencies in a decade
 MOST_STEPS = 60  #: of a search for a crossing,
 NARROW = 1e-13  #: and the relative width at which it ends
 
@@ -84,7 +86,8 @@ def _metrics(point: Sensitivities, ch: Channels, cut: Complex, walk: Array, radi
     column = ch.B / (1 + ch.H0)[:, None]
     opened = np.linalg.eigvals(ch.A[:, None] - column.transpose(0, 2, 1)[:, :, :, None] * ch.C[:, :, None, :]).reshape(m, -1)
     poles = np.concatenate([cut, point.poles, opened], axis=1).astype(np.complex128)
-    w = thinned(frequencies_of_interest(poles, radius), poles)
+    few = apart(poles)
+    w = thinned(frequencies_of_interest(few, radius), few)
     w = np.sort(np.concatenate([w, np.where((walk >= radius) & (walk <= w[:, -1:]), walk, w[:, -1:])], axis=1), axis=1)
     longest = float(point.T.max())
     low, high = np.full(m, radius), np.full(m, max(3 * radius, 3 * np.pi / longest))
@@ -200,62 +203,85 @@ def _next(a: Array, b: Array, c: Array, fa: Array, fb: Array, fc: Array) -> Arra
 
 
 def _peaks(point: Sensitivities, some: Ints, w: Array, H: Complex, peak: Array, where: Array) -> None:
-    """Raises ``peak`` and its frequency ``where`` (all points, n) in place to the largest |S| on w, refined at its highest frequencies."""
+    """Raises ``peak`` and its frequency ``where`` (all points, n) in place to the largest |S| on w, refined at its highest frequencies.
+
+    By the maximum of |1 + p|, p the polynomial through H at ``NODES`` of a bracket, again in a part of the bracket until H is p there.
+    """
     size = np.abs(1 + H)
-    row, channel, k, low, high = _brackets(size, NEAR * np.maximum(peak[some], size.max(axis=2)))
-    owner, each = some[row], np.arange(row.size)
-    a, x, b = w[row, low], w[row, k], w[row, high]
-    fa, f, fb = size[row, channel, low], size[row, channel, k], size[row, channel, high]
-    tried = a[:, None] + (b - a)[:, None] * np.linspace(0, 1, 9)
-    inner = np.abs(1 + point.one(np.repeat(owner, 7), np.repeat(channel, 7), on_axis(tried[:, 1:-1].ravel()))).reshape(-1, 7)
-    found = np.column_stack([fa, inner, fb])
-    highest, first = found.max(axis=1), found.argmax(axis=1)
-    best, at = np.where(highest > f, highest, f), np.where(highest > f, tried[each, first], x)
-    top = np.clip(first, 1, 7)
-    a, x, b = (tried[each, top + i] for i in (-1, 0, 1))
-    fa, f, fb = (found[each, top + i] for i in (-1, 0, 1))
-    highest_of = np.zeros(peak.shape)
-    np.maximum.at(highest_of, (owner, channel), best)
-    todo, level = each, np.zeros(each.size, bool)  # level: the last step made no difference
+    row, channel, low, high = _brackets(w, size, np.maximum(peak[some], size.max(axis=2)))
+    owner, best, at = some[row], np.zeros(row.size), np.zeros(row.size)
+    a, b, Ha, Hb, todo = w[row, low], w[row, high], H[row, channel, low], H[row, channel, high], np.arange(row.size)
+    highest = np.zeros(peak.shape)
     for _ in range(MOST_STEPS):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            left, right = (x - a) * (f - fb), (x - b) * (f - fa)
-            shift = 0.5 * ((x - a) * left - (x - b) * right) / (left - right)
-            rise = shift * shift * np.abs((left - right) / ((x - a) * (x - b) * (b - a)))  # to the vertex of the parabola
-            lower = f + 4 * rise < highest_of[owner[todo], channel[todo]]
-        going = ~(lower | (level & ((rise <= SAME * f) | (b - a <= 1e-8 * x))))
-        if not going.any():
+        if not todo.size:
             break
-        todo, (a, x, b, fa, f, fb, shift) = todo[going], (each[going] for each in (a, x, b, fa, f, fb, shift))
-        vertex = x - shift
-        vertex = np.where((vertex > a) & (vertex < b) & (vertex != x), vertex, np.where(x - a > b - x, (a + x) / 2, (x + b) / 2))
-        g = np.abs(1 + point.one(owner[todo], channel[todo], on_axis(vertex)))
-        level = np.abs(g - f) <= LEVEL * f
-        higher = g > f
-        left_end = higher == (vertex > x)  # the end that moves: to the vertex, or to x where the vertex is higher
-        end, f_end = np.where(higher, x, vertex), np.where(higher, f, g)
-        a, fa = np.where(left_end, end, a), np.where(left_end, f_end, fa)
-        b, fb = np.where(left_end, b, end), np.where(left_end, fb, f_end)
-        x, f = np.where(higher, vertex, x), np.where(higher, g, f)
-        better = f > best[todo]
-        best[todo[better]], at[todo[better]] = f[better], x[better]
+        x = (a + b)[:, None] / 2 + (b - a)[:, None] / 2 * NODES
+        inner = point.one(np.repeat(owner[todo], NODES.size - 2), np.repeat(channel[todo], NODES.size - 2), on_axis(x[:, 1:-1].ravel()))
+        at_nodes = np.column_stack([Ha, inner.reshape(todo.size, -1), Hb])
+        top, expected = _top(at_nodes)
+        place = (a + b) / 2 + (b - a) / 2 * top
+        there = point.one(owner[todo], channel[todo], on_axis(place))
+        x, known = np.column_stack([x, place]), np.column_stack([at_nodes, there])
+        order = np.argsort(x, axis=1, kind="stable")
+        x, known = np.take_along_axis(x, order, 1), np.take_along_axis(known, order, 1)
+        height, each = np.abs(1 + known), np.arange(todo.size)
+        k = height.argmax(axis=1)
+        better = height[each, k] > best[todo]
+        best[todo[better]], at[todo[better]] = height[each, k][better], x[each, k][better]
+        np.maximum.at(highest, (owner[todo], channel[todo]), best[todo])
+        off = np.abs(there - expected)
+        lower = np.maximum(height[each, k], np.abs(1 + expected)) + 10 * off < highest[owner[todo], channel[todo]]
+        going = ~(lower | (off <= SAME * np.abs(1 + there)) | (b - a <= 1e-8 * b))
+        left, right = np.maximum(k - 1, 0), np.minimum(k + 1, NODES.size)
+        a, b, Ha, Hb = (each_[going] for each_ in (x[each, left], x[each, right], known[each, left], known[each, right]))
+        todo = todo[going]
     order = np.argsort(best, kind="stable")  # of several values the last one written, the highest, stays
     order = order[best[order] > peak[some[row[order]], channel[order]]]
     into = some[row[order]], channel[order]
     peak[into], where[into] = best[order], at[order]
 
 
-def _brackets(size: Array, least: Array) -> tuple[Ints, Ints, Ints, Ints, Ints]:
-    """Of the highest local maxima on the last axis of ``size`` (m, n, k), of at least ``least`` (m, n): point, channel, index, and the indices of
-    a bracket, which reaches to where the size has really fallen.
+def _top(H: Complex) -> tuple[Array, Complex]:
+    """Where in [-1, 1] |1 + p| is largest, and p there, (k,) each: p of the polynomials through H (k, q) at ``NODES``."""
+    c = H @ FIT
+    fine = c @ FINE_POWERS
+    x = FINE[np.abs(1 + fine).argmax(axis=1)]
+    low, high = x - 2 / FINE.size, x + 2 / FINE.size
+    powers = np.arange(c.shape[1])
+    first, second = c[:, 1:] * powers[1:], c[:, 2:] * (powers[2:] * powers[1:-1])
+    for _ in range(4):  # Newton on the slope of the square
+        at = x[:, None] ** powers
+        value, slope, curve = 1 + (c * at).sum(axis=1), (first * at[:, :-1]).sum(axis=1), (second * at[:, :-2]).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = (value.conj() * slope).real / ((value.conj() * curve).real + np.abs(slope) ** 2)
+        x = np.clip(np.where(np.isfinite(step), x - step, x), np.maximum(low, -1), np.minimum(high, 1))
+    return x, np.asarray((c * x[:, None] ** powers).sum(axis=1), np.complex128)
 
-    Frequencies that nearly coincide have sizes that differ by rounding only: one maximum, not several.
+
+def _brackets(w: Array, size: Array, highest: Array) -> tuple[Ints, Ints, Ints, Ints]:
+    """Of the highest local maxima of ``size`` (m, n, k) on w (m, k) between whose neighbours the ``highest`` (m, n) may be exceeded: point, channel,
+    and the indices of a bracket, which reaches to where the size has really fallen.
+
+    The vertex of the parabola through three sizes ranks them. Frequencies that nearly coincide have sizes that differ by rounding only: one
+    maximum, not several.
     """
     m, n, last = *size.shape[:2], size.shape[2] - 1
     size = size.reshape(m * n, -1)
-    owner, k = np.nonzero((size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:]) & (size[:, 1:-1] > least.reshape(-1, 1)))
+    least = NEAR * highest.reshape(-1, 1)
+    owner, k = np.nonzero((size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:]) & (size[:, 1:-1] > least))
     k = k + 1
-    order = np.lexsort((-size[owner, k], owner))
+    (x, a, b), (f, fa, fb) = ((values[row, k + i] for i in (0, -1, 1)) for values, row in ((w, owner // n), (size, owner)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left, right = (x - a) * (f - fb), (x - b) * (f - fa)
+        shift = 0.5 * ((x - a) * left - (x - b) * right) / (left - right)
+        rise = shift * shift * np.abs((left - right) / ((x - a) * (x - b) * (b - a)))
+    fall = f - np.minimum(fa, fb)
+    rise = np.fmin(np.where(np.isfinite(rise), rise, np.inf), fall)
+    surely = highest.ravel().copy()
+    np.maximum.at(surely, owner, f + SURELY * np.minimum(rise, fall / 8))  # an eighth where the places are evenly spaced
+    may = f + RISES * rise >= surely[owner]
+    owner, k, top = owner[may], k[may], (f + rise)[may]
+    order = np.lexsort((-top, owner))
     owner, k = owner[order], k[order]
     parts = []
     for _ in range(CLIMBED):
@@ -272,12 +298,12 @@ def _brackets(size: Array, least: Array) -> tuple[Ints, Ints, Ints, Ints, Ints]:
                 end[climbing] += step
                 climbing = climbing[(end[climbing] != edge) & (size[mine[climbing], end[climbing]] >= fallen[climbing])]
             ends.append(end)
-        parts.append((mine, top, *ends))
+        parts.append((mine, *ends))
         group = np.cumsum(first) - 1
         outside = (k <= ends[0][group]) | (k >= ends[1][group])
         owner, k = owner[outside], k[outside]
-    mine, top, low, high = (np.concatenate([part[i] for part in parts]) if parts else np.zeros(0, np.int64) for i in range(4))
-    return mine // n, mine % n, top, low, high
+    mine, low, high = (np.concatenate([part[i] for part in parts]) if parts else np.zeros(0, np.int64) for i in range(3))
+    return mine // n, mine % n, low, high
 
 
 def _joined(parts: list[Crossings]) -> Crossings:

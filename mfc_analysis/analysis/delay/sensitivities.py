@@ -91,16 +91,19 @@ class Sensitivities:
     def _loop(self, point: Ints, s: Complex) -> tuple[Complex, Complex]:
         k = len(self.T)
         gap = s[:, None] - self.poles[point]
-        on_pole = (np.abs(gap) <= ON_POLE * np.abs(s)[:, None]).any(axis=1)
+        squared = gap.real**2 + gap.imag**2
+        on_pole = (squared <= (ON_POLE * np.abs(s)[:, None]) ** 2).any(axis=1)
         if on_pole.any():  # of the loop without dead time: W is infinite there, S is not
             s = np.where(on_pole, s * (1 + BESIDE), s)
             gap[on_pole] = s[on_pole, None] - self.poles[point[on_pole]]
+            squared[on_pole] = gap[on_pole].real ** 2 + gap[on_pole].imag ** 2
+        inverse = gap.conj() / squared
         known = self.modal[point]
         if known.all():
-            W = times_own(1 / gap[:, None], self.residues, point)[:, 0]
+            W = times_own(inverse[:, None], self.residues, point)[:, 0]
         else:
             W = np.empty((s.size, k * k), np.complex128)
-            W[known] = times_own(1 / gap[known, None], self.residues, point[known])[:, 0]
+            W[known] = times_own(inverse[known, None], self.residues, point[known])[:, 0]
         for i in np.unique(point[~known]).tolist():
             mine = point == i
             matrix = s[mine, None, None] * np.eye(len(self.A[i])) - self.A[i]

@@ -3,7 +3,7 @@
 Rows of A with a single entry, as q' = v, leave the linear systems before these are solved: x_i' = a x_j without an input gives x_j = (s/a) x_i.
 Along a chain of them every state is a power of s times the state at its start, and what remains of sI - A is a polynomial in s of smaller
 matrices. Each entry that leaves is as exact as that of A from which it comes. The wires leave too: det(sI - A) det(I - E G) is one determinant
-of M - B E N, which has no poles, and one factorisation gives its phase and its rate.
+of M - B E N, which has no poles.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class Stacked:
         turned = np.linalg.slogdet(F)[0]
         root = turned == 0
         F[root] = np.eye(q)
-        rate = np.where(root, np.inf, _trace(np.linalg.solve(F, dF)) - slope * (1 / down).sum(axis=1))
+        rate = np.where(root, np.inf, _trace(np.asarray(np.linalg.solve(F, dF), np.complex128)) - slope * (1 / down).sum(axis=1))
         return np.angle(sign[at] * turned) - _phase(down), np.asarray(rate, np.complex128)
 
     def matrix(self, at: Ints, s: Complex) -> tuple[Complex, Complex]:
@@ -249,22 +249,23 @@ def _trace(M: Complex) -> Complex:
 
 def _radius_below(M: Complex, limit: Array) -> Bools:
     """(k,) where the spectral radius of M (k, n, n) is below ``limit`` (k,): by norm and trace of its powers 2, 4, ..., 32, else by eigenvalues."""
-    below, unsure = np.zeros(len(M), bool), np.ones(len(M), bool)
+    below, left = np.zeros(len(M), bool), np.arange(len(M))
+    power, log = M, np.zeros(len(M))  # of those left: M^(2^j) = e^log power
     with np.errstate(all="ignore"):
-        size = np.linalg.norm(M, axis=(1, 2))
-        power, log = M / size[:, None, None], np.log(size)  # M^(2^j) = e^log power
         for j in range(6):
-            upper, lower = np.exp(log / 2**j), np.exp((log + np.log(np.abs(_trace(power)) / M.shape[1])) / 2**j)
-            below |= unsure & ((upper < limit * (1 - SURE)) | (size == 0))
-            unsure &= ~below & ~(lower > limit * (1 + SURE))
-            power = power @ power
             size = np.linalg.norm(power, axis=(1, 2))
-            power, log = power / size[:, None, None], 2 * log + np.log(size)
-            log[size < 1e-6] = np.nan  # few digits left: no bound settles these
-            size[:] = 1
-    left = np.flatnonzero(unsure)
-    if left.size:
-        below[left] = np.abs(np.linalg.eigvals(M[left])).max(axis=1) < limit[left]
+            power, log = power / size[:, None, None], log + np.log(size)
+            if j:
+                log[size < 1e-6] = np.nan  # few digits left: no bound settles these
+            upper, lower = np.exp(log / 2**j), np.exp((log + np.log(np.abs(_trace(power)) / M.shape[1])) / 2**j)
+            surely = (upper < limit[left] * (1 - SURE)) | ((size == 0) if j == 0 else False)
+            below[left[surely]] = True
+            unsure = ~surely & ~(lower > limit[left] * (1 + SURE))
+            left, power, log = left[unsure], power[unsure], 2 * log[unsure]
+            if not left.size:
+                return below
+            power = power @ power
+    below[left] = np.abs(np.linalg.eigvals(M[left])).max(axis=1) < limit[left]
     return below
 
 
