@@ -18,10 +18,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import matrix_balance
+from scipy.linalg.lapack import dgebal
 
 from mfc_analysis.analysis.delay.stacked import Stacked, perron
-from mfc_analysis.analysis.spectrum import rates
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
@@ -60,7 +59,7 @@ class Delayed:
     @cached_property
     def places(self) -> Complex:
         """[rad/s] the poles with and without dead time in the s plane, and 1/T: where f has features."""
-        found = places(self.alone)[0]
+        found = self.alone.places[0]
         return np.asarray(found[np.isfinite(found)], np.complex128)
 
     @cached_property
@@ -101,16 +100,9 @@ def stacked(points: Sequence[Delayed]) -> Stacked:
     return Stacked(A, B, C, D, points[0].T, points[0].dt)
 
 
-def places(points: Stacked) -> Complex:
-    """[rad/s] (m, 2 nx + nd) the poles with and without dead time in the s plane, and 1/T: where f has features. NaN: none (a pole at 0)."""
-    s = rates(np.concatenate([points.open_poles, points.closed_poles], axis=1), points.dt)
-    s = np.where(np.isfinite(s) & (s != 0), s, np.nan)
-    return np.asarray(np.concatenate([s, np.broadcast_to(1 / points.T, (len(s), len(points.T)))], axis=1), np.complex128)
-
-
 def in_a_loop(points: Stacked) -> Bools:
     """(m,) False where no dead time lies in a loop: the roots are then those of A."""
-    size = np.abs(places(points))
+    size = np.abs(points.places)
     last = 1e2 * np.nanmax(size, axis=1)
     first, last = 1e-2 * np.nanmin(size, axis=1), np.minimum(last, np.pi / points.dt) if points.dt else last
 
@@ -138,6 +130,6 @@ def delayed_points(system: OpenSystem) -> list[Delayed]:
     points = []
     for i in range(len(A)):
         a, b, c = A[i], B[i][:, system.nu :], C[i][system.ny :]
-        balanced, (scale, _) = matrix_balance(a, permute=False, separate=True)
+        balanced, _, _, scale, _ = dgebal(a, scale=1, permute=0)
         points.append(Delayed(balanced, b / scale[:, None], c * scale, D[i][system.ny :, system.nu :], system.wire_delay[late], scale, system.dt))
     return points

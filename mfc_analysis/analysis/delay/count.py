@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.analysis.delay.characteristic import Delayed, places
+from mfc_analysis.analysis.delay.characteristic import Delayed
 from mfc_analysis.analysis.delay.grid import apart, between
 from mfc_analysis.analysis.delay.stacked import Stacked
 from mfc_analysis.analysis.frequency.peak import thinned
@@ -80,7 +80,7 @@ def unstable_counts(points: Stacked, radius: float, most: int = MOST) -> list[Co
     edge, inner = np.full(m, radius), np.zeros(m)
     found: list[Count | NotConverged | None] = [None] * m
     if not radius:
-        edge = 1e-9 * np.nanmin(np.abs(places(points)), axis=1)
+        edge = 1e-9 * np.nanmin(np.abs(points.places), axis=1)
         for i, one in enumerate(disc_counts(points, edge, 0.0, most)):
             if isinstance(one, NotConverged):
                 found[i] = one
@@ -159,7 +159,7 @@ def _mirrored(points: Stacked) -> Complex:
         size = np.maximum(np.abs(c), 1e-12)
         size = np.where(size > 1, 1 / size, size)
         return np.asarray(c / np.maximum(np.abs(c), 1e-12) * np.minimum(size, 0.98), np.complex128)
-    least = 1e-3 * np.nanmin(np.abs(places(points)), axis=1, keepdims=True)
+    least = 1e-3 * np.nanmin(np.abs(points.places), axis=1, keepdims=True)
     return np.asarray(-np.maximum(np.abs(c.real), np.maximum(0.1 * np.abs(c), least)) + 1j * c.imag, np.complex128)
 
 
@@ -179,7 +179,7 @@ def _within(u: Array, low: Array | float, high: Array | float) -> Array:
 
 def _angles(points: Stacked, radius: Array, some: Ints, last: float) -> Array:
     """(p, k) first angles on an arc about zero: even ones, and around each root that lies near it."""
-    s, r = places(points)[some], radius[some, None]
+    s, r = points.places[some], radius[some, None]
     with np.errstate(invalid="ignore"):
         s = np.where((np.abs(s) < 3 * r) & (np.abs(s) > 0.3 * r), s, np.nan)
     s = s[:, np.isfinite(s).any(axis=0)]
@@ -193,7 +193,7 @@ def _along_axis(points: Stacked, poles: Complex, edge: Array, some: Ints, most: 
     """The walks of ``some`` points from j ``edge`` up the axis."""
     if not some.size:
         return []
-    s = places(points)[some]
+    s = points.places[some]
     low = edge[some, None]
     high = np.full(low.shape, np.pi / points.dt) if points.dt else np.maximum(1e3 * np.nanmax(np.abs(s), axis=1, keepdims=True), low)
     s = apart(np.asarray(s.real + 1j * np.abs(s.imag), np.complex128))
@@ -221,7 +221,7 @@ def _until_contracting(points: Stacked, owner: Ints, w: Array) -> tuple[Ints, Ar
 
     And the points where it never is.
     """
-    limit, top = _contracts(points), 3 * np.nanmax(np.abs(places(points)), axis=1)
+    limit, top = _contracts(points), 3 * np.nanmax(np.abs(points.places), axis=1)
     parts, done = {int(i): w[owner == i] for i in np.unique(owner)}, {}
     for _ in range(12):
         above = {i: int(np.searchsorted(one, top[i])) for i, one in parts.items()}

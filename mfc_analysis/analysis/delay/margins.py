@@ -37,7 +37,8 @@ FLAT = 1e-9  #: relative difference of two sizes below which they count as equal
 TURN = 0.3  #: [rad] phase of e^(-jwT) between two frequencies,
 DECADE = 10  #: and frequencies in a decade
 MOST_STEPS = 60  #: of a search for a crossing,
-NARROW = 1e-13  #: and the relative width at which it ends
+NARROW = 1e-13  #: and the relative width at which it ends;
+SMOOTH = 4  #: its first steps go where the polynomial through all places so far has its zero
 
 
 def delayed_metrics(system: OpenSystem, at: str, judged: Bools, walks: Sequence[Array]) -> MarginMetrics:
@@ -67,10 +68,12 @@ def _groups(index: Ints, size: Array, channels: int) -> Iterator[Ints]:
         first += some.size
 
 
-def _padded(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+def _padded(parts: Sequence[Array]) -> Array:
     """Rows of different length, each continued by its last value (an empty one by 0)."""
-    longest = max(one.size for one in parts)
-    return np.stack([np.pad(one, (0, longest - one.size), mode="edge" if one.size else "constant") for one in parts])
+    out = np.zeros((len(parts), max(one.size for one in parts)))
+    for row, one in zip(out, parts, strict=True):
+        row[: one.size], row[one.size :] = one, one[-1] if one.size else 0.0
+    return out
 
 
 def _cut_poles(system: OpenSystem) -> Complex:
@@ -167,14 +170,19 @@ def _crossings(point: Sensitivities, some: Ints, w: Array, H: Complex) -> tuple[
     changes = []
     for f, counts in ((H.real + 0.5, True), (H.imag, loud)):
         row, channel, k = np.nonzero(((f[..., :-1] >= 0) != (f[..., 1:] >= 0)) & counts)  # a zero exactly on one of them counts once
-        changes.append((some[row], channel, w[row, k], w[row, k + 1], f[row, channel, k], f[row, channel, k + 1], H[row, channel, k]))
+        four = np.clip(k[:, None] + np.arange(-1, 3), 0, w.shape[1] - 1)
+        changes.append((some[row], channel, w[row[:, None], four], f[row[:, None], channel[:, None], four], H[row, channel, k]))
     number = changes[0][0].size
-    owner, channel, a, b, fa, fb, hx = (np.concatenate(both) for both in zip(*changes, strict=True))
+    owner, channel, xs, fs, hx = (np.concatenate(both) for both in zip(*changes, strict=True))
     gain = np.arange(owner.size) < number
+    a, b, fa, fb = xs[:, 1], xs[:, 2], fs[:, 1], fs[:, 2]
     x, todo, part = a.copy(), np.arange(owner.size), fa / (fa - fb)
-    for _ in range(MOST_STEPS):
+    for step in range(MOST_STEPS):
         if not todo.size:
             break
+        if step < SMOOTH:
+            guess = (_inverse(xs, fs) - a) / (b - a)
+            part = np.where((guess > 0) & (guess < 1), guess, part)
         x[todo] = try_ = a + part * (b - a)
         hx[todo] = h = point.one(owner[todo], channel[todo], on_axis(try_))
         f = np.where(gain[todo], h.real + 0.5, h.imag)
@@ -183,10 +191,19 @@ def _crossings(point: Sensitivities, some: Ints, w: Array, H: Complex) -> tuple[
         b, fb = np.where(same, b, a), np.where(same, fb, fa)
         a, fa = try_, f
         going = ~((np.abs(f) <= 1e-13 * np.minimum(np.abs(h), np.abs(1 + h))) | (np.abs(b - a) <= 2 * NARROW * np.abs(a)))
-        todo, (a, b, c, fa, fb, fc) = todo[going], (each[going] for each in (a, b, c, fa, fb, fc))
+        xs, fs = np.column_stack([xs, try_]), np.column_stack([fs, f])
+        todo, (a, b, c, fa, fb, fc, xs, fs) = todo[going], (each[going] for each in (a, b, c, fa, fb, fc, xs, fs))
         part = _next(a, b, c, fa, fb, fc)
     every = Crossings(owner, channel, x, hx)
     return every[gain], every[~gain]
+
+
+def _inverse(x: Array, f: Array) -> Array:
+    """(k,) where the polynomials x(f) through places x (k, q) with values f (k, q) have f = 0 (Neville's rule); not finite where values repeat."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for n in range(1, x.shape[1]):
+            x = (f[:, :-n] * x[:, 1:] - f[:, n:] * x[:, :-1]) / (f[:, :-n] - f[:, n:])
+    return np.asarray(x[:, 0])
 
 
 def _next(a: Array, b: Array, c: Array, fa: Array, fb: Array, fc: Array) -> Array:
@@ -314,7 +331,7 @@ def _needed(point: Sensitivities, some: Ints, w: Array, high: Array, increase: A
     """(k,) [rad/s] up to which a crossing could limit a margin: |L| >= 1, or a gain below the increase found so far. ``w`` resolves the poles."""
     last = np.maximum(64 * high, w[:, -1])
     span = (last / high)[:, None]
-    even = high[:, None] * span ** np.linspace(0, 1, int(25 * np.log10(span.max(initial=1.0))) + 2)
+    even = high[:, None] * span ** np.linspace(0, 1, int(DECADE * np.log10(span.max(initial=1.0))) + 2)
     w = np.sort(np.concatenate([even, np.maximum(w, high[:, None])], axis=1), axis=1)
     H = point.over_some(some, on_axis(w))
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfc_analysis.analysis.spectrum import rates
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints
 
 CHUNK = 40_000  #: complex numbers at a time: these stay in the cache
@@ -51,6 +52,13 @@ class Stacked:
         """(m, nx) poles of the loop without dead time."""
         back = np.linalg.solve(np.eye(len(self.T)) - self.D, self.C) if self.D.any() else self.C
         return np.linalg.eigvals(self.A + self.B @ back).astype(np.complex128)
+
+    @cached_property
+    def places(self) -> Complex:
+        """[rad/s] (m, 2 nx + nd) the poles with and without dead time in the s plane, and 1/T: where f has features. NaN: none (a pole at 0)."""
+        s = rates(np.concatenate([self.open_poles, self.closed_poles], axis=1), self.dt)
+        s = np.where(np.isfinite(s) & (s != 0), s, np.nan)
+        return np.asarray(np.concatenate([s, np.broadcast_to(1 / self.T, (len(s), len(self.T)))], axis=1), np.complex128)
 
     @cached_property
     def one_delay(self) -> bool:
