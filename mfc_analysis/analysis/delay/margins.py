@@ -9,10 +9,8 @@ e^(-jwT); then polished. The search continues to higher frequencies until no fur
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mfc_analysis.analysis.channels import Channels, channels
 from mfc_analysis.analysis.delay.grid import apart, between, room
@@ -21,7 +19,7 @@ from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delay
 from mfc_analysis.analysis.frequency.crossings import Crossings
 from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
 from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, also_late, assembled, put
-from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
 
 MOST = 40_000  #: frequencies at one point
@@ -48,9 +46,7 @@ def delayed_metrics(system: OpenSystem, at: str, judged: Bools, walks: Sequence[
     every = np.asarray(np.flatnonzero(judged), np.int64)
     size = np.array([walks[int(i)].size for i in every]) + 1000.0
     for some in _groups(every, size, ch.H0.shape[1]):
-        found = _metrics(
-            sensitivities(system, at, some), ch.at(some), _cut_poles(system.at(some)), _padded([walks[int(i)] for i in some]), system.radius
-        )
+        found = _metrics(sensitivities(system, at, some), ch.at(some), _padded([walks[int(i)] for i in some]), system.radius)
         put(metrics, some, MarginMetrics(**found))
     return metrics
 
@@ -76,19 +72,12 @@ def _padded(parts: Sequence[Array]) -> Array:
     return out
 
 
-def _cut_poles(system: OpenSystem) -> Complex:
-    """(m, nx + nw) poles [1/s] with the delayed wires cut, and 1/T of these wires: features of the loop with dead time."""
-    late = system.wire_delay > 0
-    found = np.linalg.eigvals(close_wires(system, keep=late)[0]).astype(np.complex128)
-    return np.asarray(np.concatenate([found, np.broadcast_to(1 / system.wire_delay[late], (len(found), int(late.sum())))], axis=1), np.complex128)
-
-
-def _metrics(point: Sensitivities, ch: Channels, cut: Complex, walk: Array, radius: float) -> dict[str, Array]:
-    """The metrics (m, n). ``cut``: features of the loop with dead time (m, j); ``walk``: frequencies of its count (m, k)."""
+def _metrics(point: Sensitivities, ch: Channels, walk: Array, radius: float) -> dict[str, Array]:
+    """The metrics (m, n). ``walk``: frequencies (m, k) of the count, which resolve the roots with dead time."""
     m, n = ch.H0.shape
     column = ch.B / (1 + ch.H0)[:, None]
     opened = np.linalg.eigvals(ch.A[:, None] - column.transpose(0, 2, 1)[:, :, :, None] * ch.C[:, :, None, :]).reshape(m, -1)
-    poles = np.concatenate([cut, point.poles, opened], axis=1).astype(np.complex128)
+    poles = np.concatenate([point.poles, opened], axis=1).astype(np.complex128)
     few = apart(poles)
     w = thinned(frequencies_of_interest(few, radius), few)
     w = np.sort(np.concatenate([w, np.where((walk >= radius) & (walk <= w[:, -1:]), walk, w[:, -1:])], axis=1), axis=1)
