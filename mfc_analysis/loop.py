@@ -294,4 +294,4 @@ class ClosedLoop:
         model = "the plant" if self.equations.model is self.robot else self.equations.model.name
         rows = [("robot", f"{self.robot.name}, {self.robot.n} joints"), ("law", str(self.law)), ("reference", type(self.ref).__name__)]
         rows += [("controller's model", model), ("hardware", hardware), ("surfaces", str(len(self.equations.surfaces)))]
-        return table(f"Closed loop of equation {self.law.equation}", ("part", "value"), rows)
+        return table(f"Closed loop of {type(self.law).__name__}, {self.law.numbered()}", ("part", "value"), rows)

@@ -113,6 +113,12 @@ def full(size: int, scale: float) -> np.ndarray:
     return scale * (np.eye(size) + 0.1 * np.random.default_rng(size).uniform(-1, 1, (size, size)))
 
 
+def spd(size: int, scale: float) -> np.ndarray:
+    """A symmetric positive definite matrix that is not diagonal."""
+    A = full(size, 1.0)
+    return scale * A @ A.T
+
+
 def each(size: int, scale: float) -> np.ndarray:
     """A gain for each component."""
     return scale * np.linspace(0.8, 1.2, size)
@@ -165,6 +171,12 @@ LAWS: tuple[Case, ...] = (
         for projection in ("dynamic", "selection")
         for form in L.HybridMotionForce.forms
     ),
+    Case("impedance", lambda n: L.Impedance(full(6, 400.0), each(6, 60.0), null_damping=3.0)),
+    Case("impedance pressing", lambda n: L.Impedance(each(6, 400.0), 60.0, F_d=F_D, inverse_damping=0.05)),
+    Case("impedance without Lambda", lambda n: L.Impedance(400.0, full(6, 60.0), feedforward=False)),
+    Case("impedance shaped", lambda n: L.Impedance(each(6, 400.0), full(6, 60.0), spd(6, 4.0), F_D, null_damping=3.0)),
+    Case("joint impedance", lambda n: L.JointImpedance(full(n, 300.0), each(n, 40.0))),
+    Case("joint impedance shaped", lambda n: L.JointImpedance(each(n, 300.0), 40.0, spd(n, 2.0))),
 )  # fmt: skip
 
 

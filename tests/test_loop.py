@@ -160,7 +160,7 @@ def test_a_loop_is_a_value() -> None:
 @pytest.mark.parametrize("case", LAWS, ids=str)
 def test_a_loop_says_what_it_is(case: Case) -> None:
     loop = loop_of(case, "ur5", contact=case.law(6).plant == "torque")
-    assert f"[eq. {loop.law.equation}]" in str(loop) and "ur5" in str(loop)
+    assert f"[{loop.law.numbered()}]" in str(loop) and "ur5" in str(loop)
     assert ("surface" in str(loop)) == bool(loop.equations.surfaces)
 
 

@@ -458,7 +458,7 @@ def _shifted(X: Pose, shift: Vector | None) -> Pose:
 
 def warn_near_singular(equations: Equations, times: Array, q: Array) -> None:
     """Warns where a tool law that inverts J without damping is near a singularity: at times (m,) [s] and joint positions q (m, n)."""
-    if equations.law.space == "tool" and not equations.law.damping:
+    if equations.law.space == "tool" and not equations.law.inverse_damping:
         sigma = task_singular_values(equations.law.selection, equations.plant, q)
         found = nearest_singular(equations.robot.tool, sigma)
         if found.condition > WARN_CONDITION:

@@ -46,7 +46,7 @@ def nominal(equations: Equations, times: Array) -> Nominal:
         return Nominal(*(np.ascontiguousarray(x) for x in point))
     assert equations.q_start is not None
     law = equations.law
-    found = Nominal(*follow(equations.robot, equations.reference_source, equations.q_start, times, law.damping, law.selection))
+    found = Nominal(*follow(equations.robot, equations.reference_source, equations.q_start, times, law.inverse_damping, law.selection))
     limits = equations.robot.limits
     over = np.maximum(found.q - limits.upper, limits.lower - found.q)
     if np.any(over > 1e-9):

@@ -3,6 +3,7 @@ from .catalogue import LAWS as LAWS, by_equation as by_equation
 from .force import DampedForcePI as DampedForcePI, ForcePI as ForcePI, OpenLoopForce as OpenLoopForce
 from .gain import Gain as Gain
 from .hybrid import HybridMotionForce as HybridMotionForce
+from .impedance import Impedance as Impedance, JointImpedance as JointImpedance
 from .joint_torque import (
     ComputedTorque as ComputedTorque,
     InverseDynamics as InverseDynamics,

@@ -5,12 +5,13 @@ from __future__ import annotations
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.laws.force import DampedForcePI, ForcePI, OpenLoopForce
 from mfc_analysis.laws.hybrid import HybridMotionForce
+from mfc_analysis.laws.impedance import Impedance, JointImpedance
 from mfc_analysis.laws.joint_torque import ComputedTorque, InverseDynamics, JointPID, TorqueFeedforward
 from mfc_analysis.laws.law import Law
 from mfc_analysis.laws.task_torque import TaskComputedTorque
 from mfc_analysis.laws.velocity import TaskVelocity, VelocityFeedforward, VelocityFeedforwardPI, VelocityP, VelocityPI
 
-#: equation -> law; 9.12 is 9.10 for one joint, 9.13 the closed loop of 9.11
+#: equation -> law; 9.12 is 9.10 for one joint, 9.13 the closed loop of 9.11. Laws that the chapter does not have go by their names
 LAWS: dict[str, type[Law]] = {
     "9.1": VelocityFeedforward,
     "9.2": VelocityP,
@@ -28,6 +29,8 @@ LAWS: dict[str, type[Law]] = {
     "9.22": ForcePI,
     "9.23": DampedForcePI,
     "9.24": HybridMotionForce,
+    "impedance": Impedance,
+    "joint impedance": JointImpedance,
 }
 
 

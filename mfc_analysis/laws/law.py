@@ -104,10 +104,10 @@ class Action(NamedTuple):
 class Law(ABC):
     """Base class of all laws. Derive from ``JointLaw`` or ``ToolLaw`` and decorate with ``define``."""
 
-    equation: ClassVar[str]  #: number in the chapter, for the reader
+    equation: ClassVar[str]  #: number in the chapter, or a few words for a law that it does not have
     plant: ClassVar[Literal["velocity", "torque"]] = "torque"
     space: ClassVar[Literal["joint", "tool"]] = "joint"
-    opens_at: ClassVar[tuple[str, ...]] = ("torque", "position")
+    opens_at: ClassVar[tuple[str, ...]] = ("torque", "position")  #: of the class; a law without force feedback drops "force" from its own
     senses_force: ClassVar[bool] = False
     follows_motion: ClassVar[bool] = True  #: False: the reference is a Hold, and a reference step is a step of F_d
     forms: ClassVar[tuple[str, ...]] = ("standard",)
@@ -117,7 +117,7 @@ class Law(ABC):
     )
     typst: ClassVar[str] = ""  #: the equation, as Typst math
     units: ClassVar[Mapping[str, str]] = {}  #: gain -> unit
-    damping: float = 0.0  #: [-] of the inverse of J, where the law has one; 0: raises NearSingular near a singularity
+    inverse_damping: float = 0.0  #: [-] of the inverse of J, where the law has one; 0: raises NearSingular near a singularity
     selection: Selection | None = None  #: the directions that a tool law controls; None: all six
     sample_time: float | None = None  #: [s] of a law that is a difference equation; None: it is a differential equation
     anti_windup: float | None = None  #: [s] time constant of back-calculation where a torque saturates, of laws that have it; None: none
@@ -190,6 +190,21 @@ class Law(ABC):
         """The same law with some parameters changed. Raises TypeError for an unknown parameter, BadArgument for a bad value."""
         return replace(self, **values)  # type: ignore[type-var]  # subclasses are dataclasses
 
+    @classmethod
+    def numbered(cls) -> str:
+        """The equation in words: "eq. 9.16", or the name of a law that the chapter does not have."""
+        return f"eq. {cls.equation}" if cls.in_chapter() else cls.equation
+
+    @classmethod
+    def in_chapter(cls) -> bool:
+        """True for a law with a number in the chapter."""
+        return cls.equation[:1].isdigit()
+
+    @classmethod
+    def cited(cls) -> tuple[str, ...]:
+        """The sources, the chapter first where it has the law."""
+        return (f"chapter, {cls.numbered()}", *cls.sources) if cls.in_chapter() else cls.sources
+
     @property
     def chosen_form(self) -> str:
         """The selected one of ``forms``: the field ``form``, where the law has one."""
@@ -230,7 +245,7 @@ class Law(ABC):
         if self.anti_windup is not None:
             choices["anti_windup"] = self.anti_windup
         shown = ", ".join([gains] * bool(gains) + [f"{name}={chosen!r}" for name, chosen in choices.items() if chosen != usual[name]])
-        return f"{type(self).__name__}({shown}) [eq. {self.equation}]"
+        return f"{type(self).__name__}({shown}) [{self.numbered()}]"
 
 
 class JointLaw(Law):

@@ -11,6 +11,7 @@ from mfc_analysis.laws.gain import Gain
 from mfc_analysis.laws.joint_torque import acceleration_of, check_mass, mass_matrix
 from mfc_analysis.laws.law import Action, Measured, Tap, ToolLaw, ToolReference, define
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Vector, matvec
 from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.robots.tool_task import ToolTask
@@ -25,6 +26,21 @@ def tool_acceleration(task: ToolTask, V: Vector, kp: Gain, ki: Gain, kd: Gain, z
     if printed:
         return task.selected(task.dV_d) + kp @ task.error + ki @ z + kd @ task.error_rate(V)
     return task.feedforward(V) + kp @ task.error + ki @ z + kd @ (task.carried - task.through(V))
+
+
+def tool_torque(
+    model: Primitives, task: ToolTask, v: Vector, V: Vector, command: Vector, damping: float, null_damping: float, mass: Array | None = None,
+    inverse: str = "dynamic",
+) -> Vector:  # fmt: skip
+    """(..., n) the torque for the tool acceleration ``command`` (..., k) at joint velocity v and twist V: A^T Lambda^ (...) + h^ of 9.16."""
+    wanted = command - task.through(model.jacobian_dot(task.q, v)) + null_damping * task.through(V)
+    a = -null_damping * v
+    pushed: Vector = 0.0
+    if inverse == "dynamic" and model.n > task.size:
+        pushed = task.torque(task.mass(wanted, damping, mass))
+    else:
+        a = a + task.solve(wanted, damping)
+    return (model.inverse_dynamics(task.q, v, a) if mass is None else matvec(mass, a) + model.bias(task.q, v)) + pushed
 
 
 @define
@@ -83,7 +99,7 @@ class TaskComputedTorque(ToolLaw):
     def __post_init__(self) -> None:
         checks.choice("form", self.form, self.forms)
         checks.number("null_damping", self.null_damping, low=0.0)
-        checks.number("damping", self.damping, low=0.0)
+        object.__setattr__(self, "inverse_damping", checks.number("damping", self.damping, low=0.0))
         checks.choice("inverse", self.inverse, ("dynamic", "euclidean"))
         if self.mass is not None:
             object.__setattr__(self, "mass", mass_matrix(self.mass))
@@ -105,12 +121,5 @@ class TaskComputedTorque(ToolLaw):
         q, v, mass = now.q, now.v, None if self.mass is None else np.asarray(self.mass)
         task, V = self.task(model, q, ref), model.jacobian(q, v)
         command = tap("command", tool_acceleration(task, V, self.kp, self.ki, self.kd, now["z"], printed=self.form == "printed"))
-        wanted = command - task.through(model.jacobian_dot(q, v)) + self.null_damping * task.through(V)
-        a = -self.null_damping * v
-        if self.inverse == "dynamic" and model.n > task.size:
-            pushed = task.torque(task.mass(wanted, self.damping, mass))
-        else:
-            pushed = np.zeros(model.n)
-            a = a + task.solve(wanted, self.damping)
-        tau = model.inverse_dynamics(q, v, a) if mass is None else matvec(mass, a) + model.bias(q, v)
-        return Action(tau + pushed, {"z": task.error} if self.ki else {}, task.error)
+        tau = tool_torque(model, task, v, V, command, self.damping, self.null_damping, mass, self.inverse)
+        return Action(tau, {"z": task.error} if self.ki else {}, task.error)

@@ -140,7 +140,7 @@ class TaskVelocity(ToolLaw):
 
     def __post_init__(self) -> None:
         checks.choice("form", self.form, self.forms)
-        checks.number("damping", self.damping, low=0.0)
+        object.__setattr__(self, "inverse_damping", checks.number("damping", self.damping, low=0.0))
         self.select()
 
     def act(self, model: Primitives, now: Measured, ref: ToolReference, tap: Tap) -> Action:

@@ -56,7 +56,7 @@ def _singular_values(equations: Equations, point: OperatingPoint) -> Array:
     n, plant = equations.n, equations.plant
     selection = equations.law.selection
     sigma = np.concatenate([task_singular_values(selection, plant, np.ascontiguousarray(some.x[:, :n])) for some in chunks(point)])
-    if not equations.law.damping:
+    if not equations.law.inverse_damping:
         found = nearest_singular(equations.robot.tool, sigma)
         found = found.at(float(point.times[found.index]))
         if found.condition > REFUSE_CONDITION:

@@ -227,7 +227,7 @@ class Parts:
             for key in given:
                 if key not in takes:
                     place = ".".join(part for part in (self.prefix, "law", key) if part)
-                    said = f"{kind.__name__} (eq. {kind.equation})"
+                    said = f"{kind.__name__} ({kind.numbered()})"
                     raise StudyError(self.file, place, f"{said} has no such key; allowed: {', '.join(takes)}", takes)
             if table.outer is not None:
                 given["outer"] = _outer(table.outer)
@@ -235,7 +235,7 @@ class Parts:
                 given["constraints"] = self._constraints(table.constraints)
             for name in kind.parameters():
                 if name not in given and _is_required(kind, name):
-                    raise BadArgument(name, None, f"a value, required by {kind.__name__} (eq. {kind.equation})")
+                    raise BadArgument(name, None, f"a value, required by {kind.__name__} ({kind.numbered()})")
             law: Law = kind(**given)
             law.check(self.robot.n)
             return law

@@ -181,8 +181,12 @@ class LawTable(Table):
     form: str | None = None
     mass: Values | None = None
     outer: OuterTable | None = None
-    damping: Number | None = None
+    stiffness: Values | None = None  #: impedance, as the next two
+    damping: Values | None = None  #: of 9.5 and 9.16 a number: of the inverse of J
+    inertia: Values | None = None
+    feedforward: bool | None = None
     null_damping: Number | None = None
+    inverse_damping: Number | None = None
     inverse: str | None = None
     anti_windup: Number | None = None  #: [s]
     axes: Directions | None = None  #: "xyz", "xyzrz", or (k, 6) orthonormal rows
@@ -196,7 +200,7 @@ class LawTable(Table):
     @model_validator(mode="after")
     def _one_name(self) -> LawTable:
         if (self.equation is None) == (self.name is None):
-            raise takes('exactly one of equation (a string, such as "9.10") and name (a class, such as "ComputedTorque")')
+            raise takes('exactly one of equation (a string, such as "9.10") and name (a class, such as "Impedance")')
         return self
 
 

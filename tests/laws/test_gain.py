@@ -78,7 +78,7 @@ def test_one_and_one_point_zero_are_the_same_gain() -> None:
 @pytest.mark.parametrize("case", LAWS, ids=str)
 def test_a_law_says_what_it_is_and_what_its_gains_are(case: object) -> None:
     law = case.law(6)
-    assert f"[eq. {law.equation}]" in str(law) and type(law).__name__ in str(law)
+    assert f"[{law.numbered()}]" in str(law) and type(law).__name__ in str(law)
     assert type(law).__doc__ and type(law).typst and law.sources
     for name, gain in law.gains().items():
         assert not gain or name in type(law).units, f"{name} has no unit"

@@ -236,6 +236,8 @@ LAWS = {
     "9.22": "F_d = [0, 0, 5, 0, 0, 0]\nkfp = 0.5\nkfi = 1",
     "9.23": "F_d = [0, 0, 5, 0, 0, 0]\ngains = { helper = 'force_pi', bandwidth_hz = 2, stiffness = 1e4, mass = 3.0, lag = 0.002 }",
     "9.24": "F_d = [0, 0, 5, 0, 0, 0]\nkp = 100\nkd = 20\nconstraints = 'surface_sliding'\nprojection = 'selection'\nform = 'printed_eta'",
+    "impedance": "stiffness = [8, 8, 8, 1, 1, 1]\ndamping = 80\ninertia = 4\nF_d = [0, 0, 5, 0, 0, 0]\nnull_damping = 2\ninverse_damping = 0.01",
+    "joint impedance": "stiffness = 300\ndamping = 30",
 }
 
 

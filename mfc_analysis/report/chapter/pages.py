@@ -62,7 +62,7 @@ def loop_page(
         tuple(body),
         view.checks,
         numbers(view, found) | dict(more or {}),
-        (f"chapter, eq. {law.equation}", *law.sources),
+        law.cited(),
         loop=view.name,
         key=view.name,
         shown=shown,

@@ -41,7 +41,7 @@ def the_loop(view: View) -> Section:
     body: list[Block] = [diagram(view)]
     source = law.typst
     if source:
-        body.append(Equation(source, f"control law, equation {law.equation}", law.equation))
+        body.append(Equation(source, f"control law, {law.numbered()}", law.equation if law.in_chapter() else ""))
     if law.chosen_form != "standard":
         body.append(Callout(Status.WATCH, f"form = {law.chosen_form!r}", "The equation above is the standard form. This loop uses another form."))
     if view.loop.equations.actuator == "torque":
@@ -62,7 +62,7 @@ def diagram(view: View) -> Figure:
     if "command" in points:
         chain += [("error\nfeedback", "command"), ("inverse\ndynamics" if law.plant == "torque" else "inverse\nJacobian", law.plant)]
     else:
-        chain.append((f"{name}\n(eq. {law.equation})", law.plant if law.plant in points else ""))
+        chain.append((f"{name}\n({law.numbered()})", law.plant if law.plant in points else ""))
     between = [
         word for word, there in (("lag", "lag" in view.loop.equations.parts), ("dead time", hardware.delay), ("hold", hardware.sample_time)) if there
     ]
@@ -78,7 +78,7 @@ def diagram(view: View) -> Figure:
     others = ", ".join(points)
     return Figure(
         partial(plots.block, tuple(chain), reference=reference, output=output, back=back, at=view.point),
-        f"The loop of eq. {law.equation}. Filled: the analysis point used here (“{view.point}”). Available analysis points: {others}.",
+        f"The loop of {law.numbered()}. Filled: the analysis point used here (“{view.point}”). Available analysis points: {others}.",
         f"Block diagram of {view.name}: {' to '.join(text.replace(chr(10), ' ') for text, _ in chain)}, opened at {view.point}; available: {others}.",
     )
 

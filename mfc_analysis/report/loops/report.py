@@ -100,7 +100,7 @@ def loop_document(
 
 def _subtitle(views: Sequence[View]) -> str:
     if len(views) > 1:
-        return ", ".join(dict.fromkeys(f"eq. {v.loop.law.equation} on {v.loop.robot.name}" for v in views))
+        return ", ".join(dict.fromkeys(f"{v.loop.law.numbered()} on {v.loop.robot.name}" for v in views))
     return str(views[0].loop)
 
 
@@ -141,7 +141,7 @@ def _of(given: Any, key: str, argument: str) -> Any:
 
 
 def _name(loop: ClosedLoop) -> str:
-    return f"{type(loop.law).__name__} (eq. {loop.law.equation}) on {loop.robot.name}"
+    return f"{type(loop.law).__name__} ({loop.law.numbered()}) on {loop.robot.name}"
 
 
 # --- scope -----------------------------------------------------------------------------------------------------------------

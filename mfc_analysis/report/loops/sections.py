@@ -58,7 +58,7 @@ def loop_section(view: View) -> Section:
         tuple(_notes(view)),
         view.checks,
         numbers(view, found),
-        (f"chapter, eq. {view.loop.law.equation}", *view.loop.law.sources),
+        view.loop.law.cited(),
         tuple(inner),
         loop=view.name,
     )
