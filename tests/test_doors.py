@@ -68,7 +68,7 @@ NUMBERS: dict[str, Door] = {
     **doors(LAWS.ForcePI, "F_d kfp kfi", F_d=F, kfp=1.0),
     **doors(LAWS.DampedForcePI, "F_d kfp kfi kdamp", F_d=F, kfp=1.0, kdamp=1.0),
     **doors(LAWS.HybridMotionForce, "F_d kp ki kd kfp kfi kdamp constraints", F_d=F, kp=1.0, constraints=np.eye(6)[:1]),
-    **doors(LAWS.Impedance, "stiffness damping inertia F_d feedforward null_damping inverse_damping axes", stiffness=1.0, damping=1.0),
+    **doors(LAWS.Impedance, "stiffness damping inertia F_d null_damping inverse_damping axes", stiffness=1.0, damping=1.0),
     **doors(LAWS.JointImpedance, "stiffness damping inertia", stiffness=1.0, damping=1.0),
     **doors(LAWS.JointPID(1.0).changed, "kp"),
     **doors(
@@ -194,6 +194,7 @@ NAMES: dict[str, Door] = {
     **doors(LAWS.TaskVelocity, "form", kp=1.0),
     **doors(LAWS.ComputedTorque, "form", kp=1.0),
     **doors(LAWS.TaskComputedTorque, "form", kp=1.0),
+    **doors(LAWS.Impedance, "feedforward", stiffness=1.0, damping=1.0),
     **doors(LAWS.HybridMotionForce, "form projection", F, 1.0, constraints=np.eye(6)[:1]),
     **doors(constraints.ConstraintSet, "natural"),
     "ConstraintSet(artificial=)": lambda value: constraints.ConstraintSet(constraints.peg_in_hole().natural, value),
