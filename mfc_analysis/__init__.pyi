@@ -16,7 +16,7 @@ from . import (
 from .analysis import frf as frf
 from .analysis.plain import delay_roots as delay_roots, disk_margin as disk_margin, margins as margins
 from .design import sweep as sweep
-from .dynamics import Environment as Environment, Hardware as Hardware
+from .dynamics import Environment as Environment, Hardware as Hardware, Servo as Servo
 from .laws import constraints as constraints
 from .laws.constraints import ConstraintSet as ConstraintSet
 from .linearization import Linearization as Linearization

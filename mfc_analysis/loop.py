@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.system import HORIZON
+from mfc_analysis.dynamics.applicability import refuse_what_does_not_apply
 from mfc_analysis.dynamics.environment import Environment
-from mfc_analysis.dynamics.equations import Equations, refuse_what_does_not_apply
+from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.jacobians import Coordinates
 from mfc_analysis.dynamics.operating_point import Nominal, nominal
@@ -41,7 +42,7 @@ class Equilibrium(Shown):
     q: Array  #: (n,)
     error: Array  #: e (n,) [rad, m] for joint laws, X_e (6,) [m, rad] for tool laws, (k,) with axes
     force: Array  #: (6,) F_tip, tool frame [N, Nm]
-    torque: Array  #: (n,) commanded torque [Nm] (velocity [rad/s] for 9.1-9.5)
+    torque: Array  #: (n,) commanded torque [Nm] (velocity [rad/s] for velocity laws)
     x: Array  #: (nx,) the full state
     stable: bool  #: no root grows, dead time, sampling and slow roots left out; ``linearize(about="equilibrium")`` has the full verdict
     notes: tuple[str, ...]  #: sentences
@@ -231,7 +232,7 @@ class ClosedLoop:
                 used where ``q`` is not given.
             disturbance: torque at the joints [Nm] (velocity laws: velocity [rad/s]), constant or a function of time.
             q, v: (n,) start position and velocity. integral: 0, "trimmed" or the integral state. force_integral: likewise, scalar or (6,).
-            actuator: (n,) state of the actuator lag; None: the torque commanded at the start.
+            actuator: (n,) torque or velocity that the actuators with a lag or servo give at the start; None: the one commanded there.
             x: (nx,) the full start state; replaces all of these.
             max_evaluations: of the equations of the loop (one of the Jacobian counts as 4, one of the plant under a held command as 1/4,
                 and the time of a solver written in Python is added);

@@ -73,8 +73,10 @@ NUMBERS: dict[str, Door] = {
     **doors(LAWS.JointPID(1.0).changed, "kp"),
     **doors(
         mfc.Hardware,
-        "torque_lag velocity_lag delay force_delay sample_time force_filter velocity_filter joint_stiffness joint_damping motor_inertia torque_limit",
+        "torque_lag velocity_lag delay force_delay sample_time force_filter velocity_filter joint_stiffness joint_damping motor_inertia torque_limit "
+        "velocity_limit force_limit force_deadband",
     ),
+    **doors(mfc.Servo, "bandwidth damping delay", bandwidth=50.0),
     **doors(mfc.Environment, "stiffness damping pose preload", stiffness=1.0),
     **doors(mfc.Environment(1.0).with_stiffness, "stiffness"),
     **doors(ROBOTS.single_joint, "inertia mass com_distance damping gravity"),
@@ -188,7 +190,7 @@ NAMES: dict[str, Door] = {
     **doors(UR5.joint_torques, "frame", Q, F),
     **doors(PATHS.from_csv, "path"),
     **doors(mfc.Environment, "axes", 1.0),
-    **doors(mfc.Hardware, "feedback"),
+    **doors(mfc.Hardware, "feedback servo"),
     **doors(LAWS.by_equation, "number"),
     **doors(LAWS.VelocityPI, "form", kp=1.0, ki=1.0),
     **doors(LAWS.TaskVelocity, "form", kp=1.0),

@@ -38,6 +38,9 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "filter": ("velocity_filter", "force_filter"),
     "flexibility": ("joint_stiffness", "joint_damping", "motor_inertia"),
     "torque limit": ("torque_limit",),
+    "servo": ("servo",),
+    "velocity limit": ("velocity_limit",),
+    "force sensor": ("force_limit", "force_deadband"),
 }  #: imperfection -> fields of ``Hardware``
 
 

@@ -10,17 +10,17 @@ Every analysis point is a wire that can be cut (``Wires``). The loop is::
         |                                 after the outer loop: a_q, V' or V_b |
         +--^-----------^--------------------------------^----------------------+
            |           |                                |               | tau (or u)
-     filter of v   encoder q, v                  filter of F_tip        x  "torque" ("velocity")
-           |           |                                |               |  dead time of the actuators
+     filter of v   encoder q, v             dead band, limit, filter    x  "torque" ("velocity")
+           |           |                        of F_tip                |  dead time of the actuators
            +-- "rate"  x  "position"                    x  "force"      v
-                       |                      dead time of the sensor  limit -> lag -> [elastic joint]
+                       |                      dead time of the sensor  limit -> lag -> [elastic joint] (lag -> servo)
                        |                                |               |
                        |                                |               v
-                       +-------- q, v ---------- plant: M q'' + h + friction + J^T F_tip = tau + disturbance
+                       +-------- q, v ---------- plant: M q'' + h + friction + J^T F_tip = tau + disturbance (q' = u + disturbance)
                                                         |               ^
                                                         +--- F_tip ---- surfaces (contact)
 
-States, in this order: q, v (torque plants), theta, omega (elastic joints), the law's own (z, z_f, outer), filters, actuator lag.
+States, in this order: q, v (torque plants), theta, omega (elastic joints), the law's own (z, z_f, outer, w), filters, actuator lag, servo.
 """
 
 from __future__ import annotations
@@ -33,13 +33,14 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from mfc_analysis.dynamics.actuators import ACTUATOR_SLOTS, Actuators
 from mfc_analysis.dynamics.coded import difference, summed
 from mfc_analysis.dynamics.environment import Contact, Environment, LoseContact, contact
 from mfc_analysis.dynamics.hardware import Hardware, JointHardware
-from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, Unsupported
+from mfc_analysis.errors import MfcWarning, NearPi, NearSingular
 from mfc_analysis.laws.law import WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.maths.dual import Dual, Vector, concatenate, elementwise, times, value
+from mfc_analysis.maths.dual import Dual, Vector, concatenate, times, value
 from mfc_analysis.maths.se3 import Pose, exp6
 from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.robots.robot import Robot
@@ -47,7 +48,7 @@ from mfc_analysis.robots.singularity import WARN_CONDITION, nearest_singular
 from mfc_analysis.robots.tool_task import selected_task, task_singular_values
 
 #: slots of the plant; the others belong to the controller
-PLANT_SLOTS = ("q", "v", "theta", "omega", "lag")
+PLANT_SLOTS = ("q", "v", "theta", "omega", *ACTUATOR_SLOTS)
 NO_WRENCH = np.zeros(6)  #: F_d under a law without a force reference
 
 
@@ -131,6 +132,7 @@ class Equations:
     plant: Primitives = field(init=False)
     controller: Primitives = field(init=False)
     joints: JointHardware = field(init=False)
+    actuators: Actuators = field(init=False)
     parts: Mapping[str, Part] = field(init=False)
     _where: tuple[tuple[str, slice], ...] = field(init=False, repr=False)
     _still: Array = field(init=False, repr=False)  #: (n,) zeros
@@ -141,6 +143,7 @@ class Equations:
         set_(self, "plant", Primitives(self.robot))
         set_(self, "controller", Primitives(self.model, self.plant) if self.model is not self.robot else self.plant)
         set_(self, "joints", self.hardware.for_joints(self.n))
+        set_(self, "actuators", Actuators.of(self.law.plant, self.hardware, self.joints))
         parts, names, start = {}, [], 0
         for slot in self._slots():
             parts[slot.name] = Part(slice(start, start + len(slot.channels)), slot)
@@ -169,11 +172,6 @@ class Equations:
         return self.law.plant
 
     @property
-    def lag(self) -> Array | None:
-        """(n,) time constant of the actuators, or None."""
-        return self.joints.torque_lag if self.actuator == "torque" else self.joints.velocity_lag
-
-    @property
     def sample_time(self) -> float:
         """[s] of the law; 0 in continuous time."""
         return float(self.hardware.sample_time or 0.0)
@@ -181,7 +179,7 @@ class Equations:
     @property
     def delays(self) -> dict[str, float]:
         """[s] dead time of each wire that has one."""
-        late = {self.actuator: self.hardware.delay, "force": self.hardware.force_delay}
+        late = {self.actuator: self.actuators.delay, "force": self.hardware.force_delay}
         return {name: float(delay) for name, delay in late.items() if delay}
 
     @property
@@ -205,9 +203,7 @@ class Equations:
             out.append(Slot("v_filter", joints, False, stepped=differs))
         if self.law.senses_force and hardware.force_filter is not None:
             out.append(Slot("F_filter", WRENCH, False))
-        if self.lag is not None:
-            out.append(Slot("lag", joints, False))
-        return out
+        return [*out, *self.actuators.slots(joints)]
 
     @property
     def integrals(self) -> tuple[int, ...]:
@@ -299,10 +295,11 @@ class Equations:
         return Flow(rates, action.error, command, touched.wrench, touched)
 
     def touch(self, s: Mapping[str, Vector], *, lose_contact: LoseContact = False) -> Contact:
-        """The tool's wrench on the surfaces."""
+        """The tool's wrench on the surfaces. Their dampers feel the velocity that the drives of a velocity law give, without its disturbance."""
         if not self.surfaces:
             return Contact(np.zeros((*value(s["q"]).shape[:-1], 6)), (), ())
-        return contact(self.surfaces, self.plant, s["q"], s["v"], lose_contact=lose_contact)
+        v = s["v"] if "v" in s else self.actuators.output(s)
+        return contact(self.surfaces, self.plant, s["q"], self._still if v is None else v, lose_contact=lose_contact)
 
     def control(
         self, t: float | Array, s: Mapping[str, Vector], F: Vector, wires: Tap, inputs: Inputs, *, unwind: bool = True
@@ -328,6 +325,7 @@ class Equations:
             if hardware.force_filter is not None:
                 rates["F_filter"] = (measured - s["F_filter"]) * (1 / float(hardware.force_filter))
                 measured = s["F_filter"]
+            measured = joints.sensed(measured)
         now = Measured(q, v, measured, s)
         action = self.law.act(self.controller, now, ref, wires)
         if hardware.integral_rule != "forward" and self.integrals:
@@ -336,17 +334,14 @@ class Equations:
             action = self.law.act(self.controller, now, ref, wires)
         rates.update(action.rates)
         if unwind and self.law.anti_windup is not None and joints.torque_limit is not None:
-            lost = self.limited(action.command) - action.command
+            lost = self.actuators.limited(action.command) - action.command
             rates["z"] = rates["z"] + self.law.unwinding(self.controller, now, ref, lost)
         return action, rates
 
     def move(self, s: Mapping[str, Vector], command: Vector, F: Vector, disturbance: Vector) -> dict[str, Vector]:
         """The plant: rates of its states under the commanded torque (velocity) that arrives at the joints."""
-        rates: dict[str, Vector] = {}
-        drive, springs = self.limited(command), self.joints.springs
-        if self.lag is not None:
-            rates["lag"] = (drive - s["lag"]) * (1 / self.lag)
-            drive = s["lag"]
+        drive, rates = self.actuators.drive(s, command)
+        springs = self.joints.springs
         if self.law.plant == "velocity":
             rates["q"] = drive + disturbance
             return rates
@@ -373,13 +368,6 @@ class Equations:
         if self.surfaces:
             net = net - self.plant.jacobian_transpose(s["q"], F)
         return net
-
-    def limited(self, command: Vector) -> Vector:
-        """The command, saturated at the limits of the actuators."""
-        limit = self.joints.torque_limit
-        if limit is None or self.law.plant == "velocity":
-            return command
-        return elementwise(command, lambda u: np.clip(u, -limit, limit), lambda u: np.where(np.abs(u) <= limit, 1.0, 0.0))
 
     def _with_measured_acceleration(
         self, t: float | Array, s: Mapping[str, Vector], command: Vector, F: Vector, inputs: Inputs, wires: Wires
@@ -431,7 +419,7 @@ class Equations:
         """x' (..., nx) for plain arrays, as a simulation integrates it (no dead time, no sampling)."""
         s = {name: x[..., where] for name, where in self._where}
         try:
-            F = contact(self.surfaces, self.plant, s["q"], s["v"], lose_contact=lose_contact).wrench if self.surfaces else NO_WRENCH
+            F = self.touch(s, lose_contact=lose_contact).wrench if self.surfaces else NO_WRENCH
             action, rates = self.control(t, s, F, uncut, NO_INPUTS)
             command = action.command
             if self.law.needs_acceleration:
@@ -463,36 +451,6 @@ def warn_near_singular(equations: Equations, times: Array, q: Array) -> None:
         found = nearest_singular(equations.robot.tool, sigma)
         if found.condition > WARN_CONDITION:
             warnings.warn(str(found.at(float(times[found.index]))), MfcWarning, stacklevel=3)
-
-
-def refuse_what_does_not_apply(equations: Equations) -> None:
-    """Raises Unsupported for hardware or surfaces that do not apply to this loop."""
-    hardware, law = equations.hardware, equations.law
-    name = type(law).__name__
-    if law.plant == "velocity":
-        for field_ in ("torque_lag", "velocity_filter", "joint_stiffness", "torque_limit", "derivative_rule"):
-            if getattr(hardware, field_) is not None:
-                takes = f"a law with torque inputs; {name} commands joint velocities (velocity_lag, delay, sample_time apply)"
-                raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), takes)
-        if equations.surfaces:
-            takes = f"a law with torque inputs; under {name} the joints follow the commanded velocity at any contact force"
-            raise Unsupported("environment", equations.surfaces[0], takes)
-    elif hardware.velocity_lag is not None:
-        takes = f"a law with velocity inputs (9.1-9.5); {name} commands torques: use torque_lag"
-        raise Unsupported("hardware.velocity_lag", hardware.velocity_lag, takes)
-    if law.sample_time is not None and hardware.sample_time != law.sample_time:
-        takes = f"{law.sample_time:g} s, at which the outer loop of {name} is a difference equation"
-        raise Unsupported("hardware.sample_time", hardware.sample_time, takes)
-    if law.anti_windup is not None and hardware.sample_time and law.anti_windup < hardware.sample_time:
-        takes = f"at least the sample time of {hardware.sample_time:g} s: the integral is taken back once per sample"
-        raise Unsupported("law.anti_windup", law.anti_windup, takes)
-    if not law.senses_force:
-        for field_ in ("force_delay", "force_filter"):
-            if getattr(hardware, field_) is not None:
-                raise Unsupported(f"hardware.{field_}", getattr(hardware, field_), f"a law that measures the force (9.22-9.24); {name} does not")
-    if law.needs_acceleration and (hardware.delay is not None or hardware.sample_time is not None):
-        takes = f"no delay or sample_time for {name} in this form: its algebraic loop is solved with q'' at the same instant"
-        raise Unsupported("hardware", hardware, takes)
 
 
 def reference_channels(equations: Equations) -> tuple[str, ...]:

@@ -76,7 +76,7 @@ def chunks(point: OperatingPoint) -> Iterator[OperatingPoint]:
 def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPoint:
     """(q, v) of the reference; integrals such that the law's torque is the plant's inverse dynamics there; force integral at 0.
 
-    Where Ki is singular z is the least-squares solution of smallest norm. Actuator lags start at that torque, filters at their input.
+    Where Ki is singular z is the least-squares solution of smallest norm. Actuators start at that torque, filters at their input.
     """
     plant, springs = equations.plant, equations.joints.springs
     q, v, a = nominal.q, nominal.v, nominal.a
@@ -99,10 +99,9 @@ def trimmed(equations: Equations, times: Array, nominal: Nominal) -> OperatingPo
             slots["q_before"] = (slots["theta"] if motor else q) - equations.sample_time * v
         if "v_filter" in slots:
             slots["v_filter"] = encoder
-        if "F_filter" in slots:
-            slots["F_filter"] = F
-    if "lag" in slots:
-        slots["lag"] = wanted
+    slots |= equations.actuators.settled(wanted)
+    if "F_filter" in slots:
+        slots["F_filter"] = value(equations.touch(slots).wrench)
     with timed(times):
         for name, (_, slot) in equations.parts.items():
             if slot.trimmed.size:
@@ -125,13 +124,14 @@ def residual(equations: Equations, times: Array, x: Array, nominal: Nominal) -> 
 
 
 def _rates(equations: Equations, times: Array, x: Array) -> dict[str, Array]:
-    """Rates without actuator lag: the command drives the joints directly, so that the residual appears at once."""
+    """Rates without lag and servo: the command drives the joints directly, so that the residual appears at once."""
     found = equations.flow(times, x)
-    if "lag" not in equations.parts:
+    command = value(found.command)
+    settled = equations.actuators.settled(command)
+    if not settled:
         return {name: value(r) for name, r in found.rates.items()}
-    slots = {name: value(s) for name, s in equations.split(x).items()}
-    slots["lag"] = value(found.command)
-    return {name: value(r) for name, r in equations.move(slots, slots["lag"], value(found.F_tip), 0.0).items()}
+    slots = {name: value(s) for name, s in equations.split(x).items()} | settled
+    return {name: value(r) for name, r in equations.move(slots, command, value(found.F_tip), 0.0).items()}
 
 
 def _trim(equations: Equations, times: Array, slots: dict[str, Array], name: str, basis: Array, wanted: Array) -> Array:

@@ -58,13 +58,15 @@ def start_state(
         slots["v_filter"] = np.array(slots["omega" if motor else "v"])
     if "F_filter" in slots:
         slots["F_filter"] = np.array(F)
-    if "lag" in slots:
+    if e.actuators.slots(e.robot.joint_names):
         if actuator is None:
-            slots["lag"] = np.array(value(e.limited(e.flow(t, value(e.join(slots))).command)))
+            slots |= e.actuators.settled(np.array(value(e.actuators.limited(e.flow(t, value(e.join(slots))).command))))
         else:
-            slots["lag"] = checks.array("actuator", actuator, (n,))
+            slots |= e.actuators.settled(checks.array("actuator", actuator, (n,)))
+        if "v" not in slots and "F_filter" in slots:  # the surface feels the velocity of the drives
+            slots["F_filter"] = np.array(value(e.touch(slots).wrench))
     elif actuator is not None:
-        raise BadArgument("actuator", actuator, "nothing here: the actuators have no lag (Hardware(torque_lag=) or velocity_lag)")
+        raise BadArgument("actuator", actuator, "nothing here: the actuators have neither lag nor servo (Hardware(torque_lag=), velocity_lag, servo)")
     return value(e.join(slots))
 
 

@@ -128,7 +128,7 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
             K, D = springs.stiffness, springs.damping
             for column, gain in ((0, -K), (1, -D), (2, K), (3, D)):
                 A[:, :, 1, column] += gain / M
-        elif equations.lag is not None:
+        elif equations.actuators.lag is not None:
             A[:, :, 1, -1] += 1 / M
         else:
             b[:, :, 1] = 1 / M
@@ -139,5 +139,5 @@ def decentralised(equations: Equations, point: OperatingPoint) -> Decentralised:
         b,
         c,
         tuple(integrals),
-        float(equations.hardware.delay or 0.0),
+        equations.actuators.delay,
     )

@@ -81,7 +81,7 @@ class Linearization:
     @property
     def delay(self) -> float:
         """Dead time [s] of the actuators that A, poles, system and loop leave out (0 in a sampled loop, which includes it)."""
-        return 0.0 if self.dt else float(self.equations.hardware.delay or 0.0)
+        return 0.0 if self.dt else self.equations.actuators.delay
 
     @property
     def force_delay(self) -> float:
@@ -132,7 +132,7 @@ class Linearization:
     def _samples_in_transit(self) -> float:
         """States that the dead times of a sampled loop take."""
         hardware = self.equations.hardware
-        late = self.equations.n * (hardware.delay or 0.0) + 6 * (hardware.force_delay or 0.0)
+        late = self.equations.n * hardware.command_delay + 6 * (hardware.force_delay or 0.0)
         return late / self.dt if self.dt else 0.0
 
     def opened_for(self, *at: str | None) -> OpenSystem:

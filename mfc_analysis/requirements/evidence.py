@@ -283,8 +283,8 @@ def _torque(e: Evidence) -> Found:
         return Found(np.nan, "", run.end, run.message)
     torque = equations.actuator == "torque"
     limit = np.array(equations.robot.limits.torque if torque else equations.robot.limits.velocity)
-    if torque and equations.joints.torque_limit is not None:
-        limit = np.minimum(limit, equations.joints.torque_limit)
+    if equations.actuators.limit is not None:
+        limit = np.minimum(limit, equations.actuators.limit)
     known = np.isfinite(limit)
     if not known.any():
         return Found(np.nan, "", None, f"the robot has no {'torque' if torque else 'velocity'} limits to compare with")

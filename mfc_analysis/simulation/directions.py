@@ -210,8 +210,8 @@ def _source(H: Array, P: Array) -> Array:
 
 
 def _first_limits(e: Equations, base: Simulation, basis: Array) -> list[Array]:
-    """The direction that reaches a torque limit first, and those that take the force off each one-sided surface first."""
-    limit, one_sided = e.joints.torque_limit, [i for i, s in enumerate(e.surfaces) if s.one_sided]
+    """The direction that reaches a limit of the actuators first, and those that take the force off each one-sided surface first."""
+    limit, one_sided = e.actuators.limit, [i for i, s in enumerate(e.surfaces) if s.one_sided]
     if limit is None and not one_sided:
         return []
     k = basis.shape[1]

@@ -240,7 +240,8 @@ def _gathered(run: Run, asked: Array) -> Simulation:
     q = np.array(s["q"])
     v = np.array(s["v"]) if "v" in s else np.array(np.broadcast_to(value(flow.rates["q"]), q.shape))
     arrived = command if run.arrived is None else np.stack([run.arrived(float(ti)) for ti in t])
-    tau = np.array(s["lag"]) if "lag" in s else np.array(value(e.limited(arrived)))
+    held = e.actuators.output(s)
+    tau = np.array(value(e.actuators.limited(arrived) if held is None else held))
     twist = value(e.plant.jacobian(np.ascontiguousarray(q), v))
     events = tuple(sorted(run.events, key=lambda event: event.time))
     return Simulation(

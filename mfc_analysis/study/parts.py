@@ -22,13 +22,12 @@ from mfc_analysis.study.errors import StudyError
 from mfc_analysis.study.schema import (
     BodyTable,
     ConstraintsTable,
-    EnvironmentTable,
     GainsTable,
     LoopTable,
     OuterTable,
     PayloadTable,
 )
-from mfc_analysis.study.tables import PoseTable, Table
+from mfc_analysis.study.tables import EnvironmentTable, PoseTable, Table
 
 if TYPE_CHECKING:
     from mfc_analysis.dynamics.environment import Environment
@@ -288,10 +287,13 @@ class Parts:
 
     def hardware(self, changes: Mapping[str, float] | None = None) -> Hardware | None:
         """Hardware of the study with some fields changed; None: ideal."""
-        from mfc_analysis.dynamics.hardware import Hardware
+        from mfc_analysis.dynamics.hardware import Hardware, Servo
 
-        given: dict[str, Any] = {**({} if self.table.hardware is None else self.table.hardware.given()), **(changes or {})}
+        table = self.table.hardware
+        given: dict[str, Any] = {**({} if table is None else table.given()), **(changes or {})}
         with self.within("hardware"):
+            if table is not None and table.servo is not None:
+                given["servo"] = Servo(**table.servo.values())
             return Hardware(**given) if given else None
 
     def files(self) -> tuple[Path, ...]:

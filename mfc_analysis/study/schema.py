@@ -8,9 +8,21 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
 from mfc_analysis.analysis.loop_step import SettlingStep
-from mfc_analysis.dynamics.coded import Rule
 from mfc_analysis.robots.catalogue import EMBEDDED
-from mfc_analysis.study.tables import Directions, Number, Pose, ReferenceTable, Table, Three, Values, Vector, is_number, takes
+from mfc_analysis.study.tables import (
+    Directions,
+    EnvironmentTable,
+    HardwareTable,
+    Number,
+    Pose,
+    ReferenceTable,
+    Table,
+    Three,
+    Values,
+    Vector,
+    is_number,
+    takes,
+)
 
 
 def _locked(value: Any) -> list[str] | dict[str, float]:
@@ -102,7 +114,7 @@ class ModelTable(BodyTable):
     """The controller's model: the plant's table with these keys changed (``payload = false``: a model without payload)."""
 
 
-# --- law, contact, hardware ----------------------------------------------------------------------------------------------
+# --- law ------------------------------------------------------------------------------------------------------------------
 
 
 class GainsTable(Table):
@@ -202,36 +214,6 @@ class LawTable(Table):
         if (self.equation is None) == (self.name is None):
             raise takes('exactly one of equation (a string, such as "9.10") and name (a class, such as "Impedance")')
         return self
-
-
-class EnvironmentTable(Table):
-    """A surface; pose omitted: the tool's start pose."""
-
-    stiffness: Values
-    damping: Values = 0.0
-    pose: Pose | None = None
-    axes: str = "z"
-    preload: Values = 0.0
-    one_sided: bool = False
-
-
-class HardwareTable(Table):
-    """Fields of ``Hardware``; SI."""
-
-    torque_lag: Values | None = None
-    velocity_lag: Values | None = None
-    delay: Number | None = None
-    force_delay: Number | None = None
-    sample_time: Number | None = None
-    force_filter: Number | None = None
-    velocity_filter: Values | None = None
-    joint_stiffness: Values | None = None
-    joint_damping: Values | None = None
-    motor_inertia: Values | None = None
-    torque_limit: Values | None = None
-    feedback: Literal["motor", "link"] = "motor"
-    integral_rule: Rule = "forward"
-    derivative_rule: Rule | None = None
 
 
 # --- times, requirements, ranges -----------------------------------------------------------------------------------------

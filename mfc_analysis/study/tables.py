@@ -12,6 +12,8 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, PlainValidator, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
+from mfc_analysis.dynamics.coded import Rule
+
 
 def takes(what: str) -> PydanticCustomError:
     """A validation error that names the values allowed."""
@@ -298,6 +300,63 @@ ReferenceTable = Annotated[
     | Annotated[ToolCircleTable, Tag("ToolCircle")],
     Discriminator(_kind),
 ]
+
+
+# --- contact and hardware ------------------------------------------------------------------------------------------------
+
+
+class EnvironmentTable(Table):
+    """A surface; pose omitted: the tool's start pose."""
+
+    stiffness: Values
+    damping: Values = 0.0
+    pose: Pose | None = None
+    axes: str = "z"
+    preload: Values = 0.0
+    one_sided: bool = False
+
+
+class ServoTable(Table):
+    """Fields of ``Servo``: the arm's own servo under a velocity law."""
+
+    in_units: ClassVar[dict[str, str]] = {"bandwidth": "bandwidth_hz"}
+    bandwidth: Values | None = None  #: [rad/s] -3 dB
+    bandwidth_hz: Values | None = None
+    damping: Values | None = None
+    delay: Number | None = None  #: [s]
+
+    @model_validator(mode="after")
+    def _has_bandwidth(self) -> ServoTable:
+        if self.si("bandwidth") is None:
+            raise takes("bandwidth [rad/s] or bandwidth_hz: where the servo falls to -3 dB")
+        return self
+
+    def values(self) -> dict[str, Any]:
+        """The arguments of ``Servo``."""
+        return {key: value for key in ("bandwidth", "damping", "delay") if (value := self.si(key)) is not None}
+
+
+class HardwareTable(Table):
+    """Fields of ``Hardware``; SI."""
+
+    torque_lag: Values | None = None
+    velocity_lag: Values | None = None
+    servo: ServoTable | None = None
+    delay: Number | None = None
+    force_delay: Number | None = None
+    sample_time: Number | None = None
+    force_filter: Number | None = None
+    velocity_filter: Values | None = None
+    joint_stiffness: Values | None = None
+    joint_damping: Values | None = None
+    motor_inertia: Values | None = None
+    torque_limit: Values | None = None
+    velocity_limit: Values | None = None
+    force_limit: Values | None = None
+    force_deadband: Values | None = None
+    feedback: Literal["motor", "link"] = "motor"
+    integral_rule: Rule = "forward"
+    derivative_rule: Rule | None = None
 
 
 def tables_of(annotation: Any) -> list[type[Table]]:

@@ -13,7 +13,7 @@ from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.equations import NO_INPUTS, uncut
 from mfc_analysis.dynamics.hardware import Hardware
-from mfc_analysis.errors import BadArgument, Unsupported
+from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import Measured
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.dual import value
@@ -244,19 +244,6 @@ def test_the_poles_of_a_fast_lag_are_those_of_the_ideal_loop(case: Case) -> None
     assert slow.size == ideal.size
     for pole in ideal:
         assert np.abs(slow - pole).min() < 1e-3 * max(1.0, abs(pole))  # they move by T s^2
-
-
-@pytest.mark.parametrize(("law", "hardware", "field"), [
-    (L.VelocityP(1.0), {"torque_lag": 1e-3}, "torque_lag"), (L.VelocityP(1.0), {"velocity_filter": 1e-3}, "velocity_filter"),
-    (L.VelocityP(1.0), {"joint_stiffness": 1e3, "motor_inertia": 1.0}, "joint_stiffness"), (L.VelocityP(1.0), {"torque_limit": 3.0}, "torque_limit"),
-    (L.JointPID(1.0), {"velocity_lag": 1e-3}, "velocity_lag"), (L.JointPID(1.0), {"force_filter": 1e-3}, "force_filter"),
-    (L.JointPID(1.0), {"force_delay": 1e-3}, "force_delay"), (L.OpenLoopForce(np.zeros(6)), {"force_delay": 1e-3}, "force_delay"),
-    (L.TorqueFeedforward("printed"), {"delay": 1e-3}, "hardware"), (L.TorqueFeedforward("printed"), {"sample_time": 1e-3}, "hardware"),
-])  # fmt: skip
-def test_hardware_that_a_loop_has_no_place_for_is_refused(law: L.Law, hardware: dict, field: str) -> None:
-    with pytest.raises(Unsupported) as info:
-        ClosedLoop(robots.single_joint(), law, Hold([0.4]), hardware=Hardware(**hardware))
-    assert field in info.value.argument
 
 
 @pytest.mark.parametrize(("given", "argument"), [

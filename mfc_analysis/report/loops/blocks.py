@@ -209,8 +209,8 @@ def step_figure(view: View, run: StepRun) -> Figure:
     velocity = view.loop.equations.actuator == "velocity"
     equations = view.loop.equations
     limits = np.array(view.loop.robot.limits.velocity if velocity else view.loop.robot.limits.torque)
-    if not velocity and equations.joints.torque_limit is not None:
-        limits = np.minimum(limits, equations.joints.torque_limit)
+    if equations.actuators.limit is not None:
+        limits = np.minimum(limits, equations.actuators.limit)
     limit = float(limits[run.joint])
     shown = np.isfinite(limit) and np.abs(run.whole).max(initial=0.0) > WORTH * limit  # a far limit would flatten the curve
     joint = view.loop.robot.joint_names[run.joint]

@@ -31,6 +31,9 @@ _HARDWARE = {
     "joint_damping": ("joint damping", "Nm s/rad"),
     "motor_inertia": ("motor inertia", "kg m²"),
     "torque_limit": ("torque limit", "Nm"),
+    "velocity_limit": ("velocity limit", "rad/s"),
+    "force_limit": ("limit of the force sensor", "N, Nm"),
+    "force_deadband": ("dead band of the force", "N, Nm"),
 }
 RULES = {"forward": "forward Euler", "backward": "backward Euler", "tustin": "Tustin"}
 
@@ -64,7 +67,14 @@ def diagram(view: View) -> Figure:
     else:
         chain.append((f"{name}\n({law.numbered()})", law.plant if law.plant in points else ""))
     between = [
-        word for word, there in (("lag", "lag" in view.loop.equations.parts), ("dead time", hardware.delay), ("hold", hardware.sample_time)) if there
+        word
+        for word, there in (
+            ("lag", "lag" in view.loop.equations.parts),
+            ("servo", hardware.servo),
+            ("dead time", hardware.command_delay),
+            ("hold", hardware.sample_time),
+        )
+        if there
     ]
     if between:
         chain.append(("\n".join(between[:2]), ""))
@@ -109,6 +119,10 @@ def parameters(view: View) -> tuple[Block, ...]:
         if given is not None and field.name in _HARDWARE:
             word, unit = _HARDWARE[field.name]
             facts.append((word, f"{array_words(np.asarray(given, float))} {unit_words(unit, view.loop.robot.joint_units)}"))
+    if hardware.servo is not None:
+        w, z = (array_words(np.asarray(x, float)) for x in (hardware.servo.bandwidth, hardware.servo.damping))
+        late = f", dead time {written(hardware.servo.delay, exact=True)} s" if hardware.servo.delay else ""
+        facts.append(("servo of the arm", f"second order, bandwidth {w} rad/s (-3 dB), damping {z}{late}"))
     if hardware.elastic:
         facts.append(("encoder of the elastic joints", hardware.feedback))
     if hardware.sample_time:

@@ -109,7 +109,7 @@ def validated(view: View, time: float = VALIDATED) -> Validation | None:
     ``PERIODS`` periods of the fastest lightly damped mode, and ``GROWTH`` time constants of an unstable loop.
     """
     hardware = view.loop.equations.hardware
-    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=np.inf)
+    grain = min((float(x) for x in (hardware.sample_time, hardware.command_delay, hardware.force_delay) if x), default=np.inf)
     roots = view.evidence.roots[0][view.worst.row]
     ringing = np.abs(roots)[np.isfinite(roots) & (np.abs(roots.real) < RINGS * np.abs(roots))].max(initial=0.0)
     span = min(time, SEGMENTS * grain, max(PERIODS * 2 * np.pi / ringing, SHORTEST) if ringing else np.inf)

@@ -132,7 +132,7 @@ def _duration(view: View, linear: Step) -> float:
         growth = view.growth
         longest = float(np.clip(GROWTH / growth, 0.05, LONGEST / 2)) if growth > 0 else LONGEST / 2
     hardware = view.loop.equations.hardware
-    grain = min((float(x) for x in (hardware.sample_time, hardware.delay, hardware.force_delay) if x), default=0.0)
+    grain = min((float(x) for x in (hardware.sample_time, hardware.command_delay, hardware.force_delay) if x), default=0.0)
     return min(longest, SEGMENTS * grain) if grain else longest
 
 
