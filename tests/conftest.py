@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from zlib import crc32
 
@@ -177,6 +177,8 @@ LAWS: tuple[Case, ...] = (
     Case("impedance shaped", lambda n: L.Impedance(each(6, 400.0), full(6, 60.0), spd(6, 4.0), F_D, null_damping=3.0)),
     Case("joint impedance", lambda n: L.JointImpedance(full(n, 300.0), each(n, 40.0))),
     Case("joint impedance shaped", lambda n: L.JointImpedance(each(n, 300.0), 40.0, spd(n, 2.0))),
+    Case("admittance", lambda n: L.Admittance(F_D, spd(6, 4.0), full(6, 60.0), each(6, 200.0))),
+    Case("admittance free", lambda n: L.Admittance(F_D, each(6, 4.0), 60.0, inverse_damping=0.05)),
 )  # fmt: skip
 
 
@@ -194,7 +196,10 @@ def loop_of(case: Case, name: str, *, contact: bool = False, which: int = 0, **m
     """The law on the robot with an unknown payload and friction, moving where the law has a motion reference."""
     law, q = case.law(arm(name).n), regular_pose(name, which)
     ref = Hold(q) if law.equation in ("9.21", "9.22", "9.23") else moving(name, which)
-    environment = surfaces(name, q) if contact and law.plant == "torque" else None
+    environment = surfaces(name, q) if contact and (law.plant == "torque" or law.senses_force) else None
+    hardware = more.get("hardware")
+    if environment and law.plant == "velocity" and (hardware is None or (hardware.servo is None and hardware.velocity_lag is None)):
+        environment = [replace(surface, damping=0.0) for surface in environment]  # a damper needs a velocity of the joints
     return ClosedLoop(plant(name), law, ref, controller_model=arm(name), environment=environment, **more)
 
 

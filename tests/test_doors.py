@@ -69,6 +69,7 @@ NUMBERS: dict[str, Door] = {
     **doors(LAWS.DampedForcePI, "F_d kfp kfi kdamp", F_d=F, kfp=1.0, kdamp=1.0),
     **doors(LAWS.HybridMotionForce, "F_d kp ki kd kfp kfi kdamp constraints", F_d=F, kp=1.0, constraints=np.eye(6)[:1]),
     **doors(LAWS.Impedance, "stiffness damping inertia F_d null_damping inverse_damping axes", stiffness=1.0, damping=1.0),
+    **doors(LAWS.Admittance, "F_d inertia damping stiffness inverse_damping axes", F_d=F, inertia=1.0, damping=1.0),
     **doors(LAWS.JointImpedance, "stiffness damping inertia", stiffness=1.0, damping=1.0),
     **doors(LAWS.JointPID(1.0).changed, "kp"),
     **doors(

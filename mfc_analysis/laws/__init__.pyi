@@ -1,4 +1,5 @@
 from . import constraints as constraints
+from .admittance import Admittance as Admittance
 from .catalogue import LAWS as LAWS, by_equation as by_equation
 from .force import DampedForcePI as DampedForcePI, ForcePI as ForcePI, OpenLoopForce as OpenLoopForce
 from .gain import Gain as Gain

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mfc_analysis.errors import BadArgument, UnknownName
+from mfc_analysis.laws.admittance import Admittance
 from mfc_analysis.laws.force import DampedForcePI, ForcePI, OpenLoopForce
 from mfc_analysis.laws.hybrid import HybridMotionForce
 from mfc_analysis.laws.impedance import Impedance, JointImpedance
@@ -31,6 +32,7 @@ LAWS: dict[str, type[Law]] = {
     "9.24": HybridMotionForce,
     "impedance": Impedance,
     "joint impedance": JointImpedance,
+    "admittance": Admittance,
 }
 
 

@@ -81,7 +81,7 @@ def test_every_point_that_a_law_can_be_opened_at_has_a_wire() -> None:
         loop, _ = state(case, "ur5")
         assert set(loop.law.opens_at) <= set(loop.equations.wire_sizes())
         assert loop.default_at in loop.law.opens_at
-        assert loop.default_at == ("velocity" if loop.law.equation in ("9.1", "9.2", "9.3", "9.4", "9.5") else "torque")
+        assert loop.default_at == ("velocity" if loop.law.equation in ("9.1", "9.2", "9.3", "9.4", "9.5", "admittance") else "torque")
 
 
 def test_a_disturbance_and_a_reference_shift_enter_where_they_should() -> None:

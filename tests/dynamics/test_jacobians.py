@@ -62,7 +62,7 @@ def misfit(loop: ClosedLoop, rng: np.random.Generator, *, lose_contact: bool = F
 def test_the_jacobian_is_that_of_the_equations(name: str, case: Case) -> None:
     law = case.law(arm(name).n)
     limit = 1e-8 if law.space == "joint" and not hasattr(law, "F_d") else 1e-7
-    for contact in (False, True) if law.plant == "torque" else (False,):
+    for contact in (False, True) if law.plant == "torque" or law.senses_force else (False,):
         loop = loop_of(case, name, contact=contact)
         found = misfit(loop, seed(name, case.name, contact))
         assert found.error < limit

@@ -238,6 +238,7 @@ LAWS = {
     "9.24": "F_d = [0, 0, 5, 0, 0, 0]\nkp = 100\nkd = 20\nconstraints = 'surface_sliding'\nprojection = 'selection'\nform = 'printed_eta'",
     "impedance": "stiffness = [8, 8, 8, 1, 1, 1]\ndamping = 80\ninertia = 4\nF_d = [0, 0, 5, 0, 0, 0]\nnull_damping = 2\ninverse_damping = 0.01",
     "joint impedance": "stiffness = 300\ndamping = 30",
+    "admittance": "F_d = [0, 0, 5, 0, 0, 0]\ninertia = 5\ndamping = 300\nstiffness = [300, 300, 0, 30, 30, 30]\ninverse_damping = 0.01",
 }
 
 
@@ -248,6 +249,8 @@ def test_each_law_of_the_chapter_runs_from_a_study(tmp_path, number):
     text = f'q_start = {Q}\n[robot]\nname = "ur5"\n[law]\nequation = "{number}"\n{LAWS[number]}\n[reference]\nkind = {kind}\n'
     if law.senses_force:
         text += '[environment]\nstiffness = 1e4\ndamping = 10\naxes = "z"\npreload = 5\n'
+    if law.plant == "velocity":
+        text += "[hardware]\nservo = { bandwidth_hz = 8, damping = 0.7, delay = 0.016 }\nvelocity_limit = 1.0\n"
     one = study(tmp_path, text).loops[0]
     assert type(one.loop.law) is law
     assert np.isfinite(one.loop.linearize(one.times).A).all()
