@@ -18,7 +18,7 @@ from mfc_analysis.analysis.system import HORIZON, OpenSystem, checked_horizon, c
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import Coordinates, External, closed_matrix, closed_system, external, open_system, without_wires
 from mfc_analysis.dynamics.operating_point import CHUNK, OperatingPoint, chunks, nominal, residual
-from mfc_analysis.errors import MfcWarning, UnknownPoint, Unsupported
+from mfc_analysis.errors import BadArgument, MfcWarning, UnknownPoint, Unsupported
 from mfc_analysis.linearization.chunks import checked_jobs, each, joined
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
 from mfc_analysis.linearization.start import chosen_coordinates, operating_points, start_at
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.disk import DiskMargin
     from mfc_analysis.analysis.floquet import TransientGrowth
     from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.analysis.port import Port, PortSystem
     from mfc_analysis.analysis.steps import Step, Steps
     from mfc_analysis.linearization.second_opinion import SecondOpinion
     from mfc_analysis.plots.figure import Axes
@@ -320,6 +321,27 @@ class Linearization:
         w = checks.frequencies(frequencies)
         at = self._at(at)
         return frequency_response(self.opened_for(at), w, at)
+
+    def port(self, frequencies: ArrayLike, at: str = "tool") -> Port:
+        """Driving-point admittance Y(jw) of the loop as given, in contact or not, at w (k,) [rad/s] > 0; dead time exact: (m, k, 6, 6).
+
+        ``at`` "tool": wrench F [N, Nm] on the robot at the tool origin -> its body twist [m/s, rad/s], tool frame; a force sensor sees -F too.
+        "joints": torques -> joint rates, (m, k, n, n). With a sample time: the part of the velocity at the frequency of the force, see
+        ``analysis.port``. Raises BadArgument (frequencies, ``at``).
+        """
+        from mfc_analysis.analysis.port import Port, admittance
+
+        w = checks.frequencies(frequencies)
+        if np.any(w <= 0):
+            raise BadArgument("frequencies", frequencies, "finite frequencies > 0 [rad/s]")
+        port = self._port(at)
+        return Port(self.times, at, port.names, w, admittance(port, w), self.dt)
+
+    def _port(self, at: str) -> PortSystem:
+        from mfc_analysis.linearization.port import port_system
+
+        own = self if self.coordinates == "state" else replace(self, coordinates="state")
+        return port_system(self.equations, own.opened, self.point.x, at)
 
     def frd(self, frequencies: ArrayLike, at: str | None = None, channel: int | str | None = None, index: int = 0) -> FrequencyResponseData:
         """L(jw) at w [rad/s] of one channel at one time as ``control.FrequencyResponseData``, dead time included. Raises as ``loop``."""

@@ -9,5 +9,6 @@ from .maps import log_axes as log_axes, stability_map as stability_map
 from .margins import margin_history as margin_history, margins as margins, metric_values as metric_values
 from .measured import comparison as comparison, response as response
 from .poles import poles as poles
+from .port import admittance as admittance, passivity as passivity
 from .runs import Panel as Panel, curves as curves, traces as traces
 from .steps import responses as responses, step as step

@@ -47,6 +47,7 @@ PICTURES: dict[str, Callable[..., Axes]] = {
     "margins": LIN.margins().plot,
     "margins at one time": LATE_LIN.again(np.array([0.5])).margins().plot,
     "disk margin": LIN.disk_margin().plot,
+    "port": LIN.port(np.geomspace(0.1, 1e3, 21)).plot,
     "step": LIN.step().plot,
     "steps": LIN.steps(np.linspace(0, 1, 11)).plot,
     "simulation": LOOP.simulate(0.5, 0.1).plot,

@@ -81,6 +81,8 @@ def every_kind() -> dict[str, Callable[[], Any]]:
         "margins with a title": partial(plots.margins, history(), title="Margins at position"),
         "margins, no limit": partial(plots.margins, history(21, 1), metric="gain_increase_db"),
         "margin history": partial(plots.margin_history, history(unstable=True), {"phase_deg": 45.0, "sensitivity_peak": 1.7}),
+        "admittance": partial(plots.admittance, w, [(name, 1 / (1j * w + 3 + j)) for j, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz"))]),
+        "passivity": partial(plots.passivity, w, 2e3 - 1e5 / w, crossings=[50.0], said="not passive below 50 rad/s"),
         "poles": partial(plots.poles, p, damping=0.5),
         "poles, one": partial(plots.poles, np.array([-3.0])),
         "poles, tiny and huge": partial(plots.poles, np.array([-1e-6, -1e6 + 1e6j, -1e6 - 1e6j])),
