@@ -208,6 +208,7 @@ NAMES: dict[str, Door] = {
     **doors(LOOP.simulate, "method", [0.0, 0.01]),
     **{f"Linearization.{name}(at=)": changed(getattr(LIN, name), "at") for name in ("margins", "disk_margin", "loop")},
     "frequency_response(at=)": lambda value: LIN.frequency_response([1.0], value),
+    **doors(LIN.passivity, "at"),
     "port(at=)": lambda value: LIN.port([1.0], value),
     **doors(LIN.loop, "channel"),
     **doors(LIN.step, "input output"),

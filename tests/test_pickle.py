@@ -103,6 +103,7 @@ def results() -> dict[str, Any]:
         "all steps": lin.steps([0.0, 0.1], inputs=[0], outputs=[0, 7]),
         "late step": LATE.linearize().step(0),
         "port": lin.port([1.0, 10.0]),
+        "passivity": lin.passivity(),
         "transient growth": lin.transient_growth(),
         "floquet": MOVING.floquet(),
         "decentralised": lin.decentralised(),

@@ -76,25 +76,21 @@ class PortSystem:
         return replace(self, opened=replace(one, A=A, B=B, C=C, D=D))
 
     @cached_property
-    def closed(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D from f to y with the wires closed, dead time left out. Not of a sampled loop."""
+    def late(self) -> tuple[Array, Array, Array, Array, Array]:
+        """A, B, C, D from [f; the k wires with dead time] to [y; those wires], all others closed, and T (k,) [s]. Not of a sampled loop."""
         one = self.opened
-        nu, ny = one.nu, one.ny
-        through = replace(
-            one,
-            B=np.concatenate([self.B, one.B[:, :, nu:]], axis=2),
-            C=np.concatenate([self.C, one.C[:, ny:]], axis=1),
-            D=np.block([[np.zeros((len(self.B), len(self.names), len(self.names))), self.E], [self.D, one.D[:, ny:, nu:]]]),
-            input_names=self.names,
-            output_names=self.names,
-        )
-        return close_wires(through)
+        nu, ny, p = one.nu, one.ny, len(self.names)
+        B = np.concatenate([self.B, one.B[:, :, nu:]], axis=2)
+        C = np.concatenate([self.C, one.C[:, ny:]], axis=1)
+        D = np.block([[np.zeros((len(B), p, p)), self.E], [self.D, one.D[:, ny:, nu:]]])
+        keep = one.wire_delay > 0
+        return *close_wires(replace(one, B=B, C=C, D=D, input_names=self.names, output_names=self.names), keep), one.wire_delay[keep]
 
 
 def admittance(port: PortSystem, w: Array, phases: Array | None = None) -> Complex:
     """Y(jw) (m, k, p, p) at w (k,) [rad/s] > 0, dead time included.
 
-    ``phases`` (k, nw) [rad]: in place of w T, those of the dead times of a continuous loop. Raises ``BadArgument`` at a pole of the loop.
+    ``phases`` (k, nd) [rad]: those of the dead times of ``PortSystem.late``, in place of w T. Raises ``BadArgument`` at a pole of the loop.
     """
     m, p, s = len(port.B), len(port.names), on_axis(w)
     out = np.empty((m, w.size, p, p), np.complex128)
@@ -109,37 +105,29 @@ def admittance(port: PortSystem, w: Array, phases: Array | None = None) -> Compl
 
 
 def _continuous(port: PortSystem, s: Complex, phases: Array | None) -> Complex:
-    one = port.opened
-    if not one.delayed:
-        A, B, C, D = (x[:, None] for x in port.closed)
-        matrix = s[:, None, None] * np.eye(one.nx) - A
-        return np.asarray(C @ np.linalg.solve(matrix, np.broadcast_to(B, (*matrix.shape[:-1], B.shape[-1])).astype(complex)) + D)
-    late = np.exp(-s[:, None] * one.wire_delay if phases is None else -1j * phases)
-    return _loop(port, s, late)
-
-
-def _loop(port: PortSystem, s: Complex, late: Complex) -> Complex:
-    """Y with e^{-sT} of each wire ``late`` (k, nw)."""
-    one, nx, nu, ny = port.opened, port.opened.nx, port.opened.nu, port.opened.ny
-    m, k, n = len(one.A), s.size, nx + one.nw
-    matrix, right = np.zeros((m, k, n, n), np.complex128), np.zeros((m, k, n, len(port.names)), np.complex128)
-    matrix[..., :nx, :nx] = s[:, None, None] * np.eye(nx) - one.A[:, None]
-    matrix[..., :nx, nx:] = -one.B[:, None, :, nu:]
-    matrix[..., nx:, :nx] = -late[:, :, None] * one.C[:, None, ny:]
-    matrix[..., nx:, nx:] = np.eye(one.nw) - late[:, :, None] * one.D[:, None, ny:, nu:]
-    right[..., :nx, :], right[..., nx:, :] = port.B[:, None], late[:, :, None] * port.D[:, None]
-    return np.asarray(np.concatenate([port.C, port.E], axis=2)[:, None] @ np.linalg.solve(matrix, right))
+    """[x; w], w the wires with dead time, by one linear solution at each frequency."""
+    A, B, C, D, T = port.late
+    m, nx, p, k = len(A), A.shape[-1], len(port.names), s.size
+    late = (np.exp(-s[:, None] * T) if phases is None else np.exp(-1j * phases))[:, :, None]
+    matrix, right = np.zeros((m, k, nx + T.size, nx + T.size), np.complex128), np.zeros((m, k, nx + T.size, p), np.complex128)
+    matrix[..., :nx, :nx] = s[:, None, None] * np.eye(nx) - A[:, None]
+    matrix[..., :nx, nx:] = -B[:, None, :, p:]
+    matrix[..., nx:, :nx] = -late * C[:, None, p:]
+    matrix[..., nx:, nx:] = np.eye(T.size) - late * D[:, None, p:, p:]
+    right[..., :nx, :], right[..., nx:, :] = B[:, None, :, :p], late * D[:, None, p:, :p]
+    out = np.concatenate([C[:, :p], D[:, :p, p:]], axis=2)[:, None] @ np.linalg.solve(matrix, right) + D[:, None, :p, :p]
+    return np.asarray(out, np.complex128)
 
 
 def _sampled(port: PortSystem, s: Complex) -> Complex:
-    direct, held, through, measured = sampled_parts(port, s)
-    return direct + held @ through @ measured
+    direct, held, measured = under_hold(port, s)
+    return np.asarray(direct + held @ controller(port, np.exp(s * port.opened.dt)) @ measured, np.complex128)
 
 
-def sampled_parts(port: PortSystem, s: Complex) -> tuple[Complex, Complex, Complex, Complex]:
-    """G_yf (m, k, p, p); G_ytau with hold and dead time (m, k, p, nd); S (m, k, nd, nw); G_mf (m, k, nw, p), at s (k,)."""
-    discrete, one, h = port.opened, port.continuous, port.opened.dt
-    plant, drive = np.array(sorted(one.plant_states), np.int64), drives(one)
+def under_hold(port: PortSystem, s: Complex) -> tuple[Complex, Complex, Complex]:
+    """Of the plant of a sampled port, at s (k,): G_yf (m, k, p, p), G_ytau with hold and dead time (m, k, p, nd), G_mf (m, k, nw, p)."""
+    one, h = port.continuous, port.opened.dt
+    plant, drive = np.array(sorted(one.plant_states), np.int64), _drives(one)
     nu, ny = one.nu, one.ny
     A, B, C = one.A[:, plant[:, None], plant], port.B[:, plant], port.C[:, :, plant]
     right = np.concatenate([B, one.B[:, plant[:, None], nu + drive]], axis=2)[:, None]
@@ -150,11 +138,12 @@ def sampled_parts(port: PortSystem, s: Complex) -> tuple[Complex, Complex, Compl
     hold = (-np.expm1(-s * h) / (s * h))[:, None] * late[:, drive]
     held = (C[:, None] @ driven + port.E[:, None, :, drive]) * hold[:, None, :]
     measured = np.asarray(late[:, :, None] * (one.C[:, None, ny:, plant] @ forced + port.D[:, None]), np.complex128)
-    return np.asarray(C[:, None] @ forced, np.complex128), np.asarray(held, np.complex128), controller(discrete, np.exp(s * h), drive), measured
+    return np.asarray(C[:, None] @ forced, np.complex128), np.asarray(held, np.complex128), measured
 
 
-def controller(discrete: OpenSystem, z: Complex, drive: Ints) -> Complex:
-    """S(z) (m, k, nd, nw): from a signal added to each wire after its cut to the driving wires, all wires closed."""
+def controller(port: PortSystem, z: Complex) -> Complex:
+    """S(z) (m, k, nd, nw) of a sampled port: from a signal added to each wire after its cut to the driving wires, all wires closed."""
+    discrete, drive = port.opened, _drives(port.opened)
     nx, nw, nu, ny = discrete.nx, discrete.nw, discrete.nu, discrete.ny
     m, n = len(discrete.A), nx + nw
     matrix = np.zeros((m, z.size, n, n), np.complex128)
@@ -164,10 +153,10 @@ def controller(discrete: OpenSystem, z: Complex, drive: Ints) -> Complex:
     matrix[..., nx:, nx:] = np.eye(nw) - discrete.D[:, None, ny:, nu:]
     right = np.zeros((m, z.size, n, nw))
     right[..., nx:, :] = np.eye(nw)
-    return np.asarray(np.linalg.solve(matrix, right.astype(complex))[..., nx + drive, :])
+    return np.asarray(np.linalg.solve(matrix, right.astype(complex))[..., nx + drive, :], np.complex128)
 
 
-def drives(system: OpenSystem) -> Ints:
+def _drives(system: OpenSystem) -> Ints:
     """The wires of the plant's input."""
     name = "torque" if "torque" in system.wires else "velocity"
     return np.arange(system.nw)[system.wires[name]]

@@ -49,7 +49,8 @@ def max_stiffness(
     The search varies every environment with a preload (all of them where none has one): it scales the stiffness so that the largest
     translational entry has the value, and keeps the damping. The force at the reference does not change: the preload compensates
     penetration times the change of stiffness. The scan starts at 1e-8 ``upper`` and ends at the first loss; 0 if stable nowhere. Notes say
-    where softer walls, or stiffer ones beyond a loop that holds on some in between only, differ.
+    where softer walls, or stiffer ones beyond a loop that holds on some in between only, differ; and where the loop is passive at the tool
+    (``Linearization.passivity``): then no stiffness is too large, and none is searched.
 
     Raises BadArgument: a loop without an environment, ``upper`` not a positive number up to 1e15.
     """
@@ -58,7 +59,11 @@ def max_stiffness(
     t, judge = _asked(loop, times, requirements, at)
     stiffer, given = with_stiffness(loop, float(t[0]))
     if judge is None:
-        return _limit(stiffer, scan(1e-8 * upper, upper), t, horizon, "largest stable stiffness", "N/m", progress, n_jobs)
+        name, unit, values = "largest stable stiffness", "N/m", scan(1e-8 * upper, upper)
+        if linearize(stiffer(0.0).equations, t, horizon=horizon).passivity().passive.all():
+            binds, why = f"stable up to {upper:g} {unit}", "passive at the tool without this stiffness, the force kept: stable however stiff it is"
+            return Limit(np.inf, name, unit, Outcome.UNLIMITED, binds, stiffer(upper), None, 1, (why,))
+        return _limit(stiffer, values, t, horizon, name, unit, progress, n_jobs)
     if not 0 < given <= upper:
         raise BadArgument("upper", upper, f"at least the stiffness of the loop, {given:g} N/m, which must be positive")
     return requirement_limit(stiffer, "stiffness", given, judge, lower=SOFTEST * given, upper=upper, progress=progress, n_jobs=n_jobs)

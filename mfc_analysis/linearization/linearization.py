@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.disk import DiskMargin
     from mfc_analysis.analysis.floquet import TransientGrowth
     from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.analysis.passivity import Passivity
     from mfc_analysis.analysis.port import Port, PortSystem
     from mfc_analysis.analysis.steps import Step, Steps
     from mfc_analysis.linearization.second_opinion import SecondOpinion
@@ -336,6 +337,15 @@ class Linearization:
             raise BadArgument("frequencies", frequencies, "finite frequencies > 0 [rad/s]")
         port = self._port(at)
         return Port(self.times, at, port.names, w, admittance(port, w), self.dt)
+
+    def passivity(self, at: str = "tool") -> Passivity:
+        """Whether the port is passive, at each of the m times: then no passive environment makes the loop unstable. ``at`` as ``port``.
+
+        Where it is not: over which frequencies, in which direction, and how much damping at the port makes it so. Raises BadArgument.
+        """
+        from mfc_analysis.analysis.passivity import passivity
+
+        return passivity(self._port(at), at, self.stability)
 
     def _port(self, at: str) -> PortSystem:
         from mfc_analysis.linearization.port import port_system

@@ -74,6 +74,17 @@ def test_an_ideal_loop_does_not_care_about_the_stiffness():
     assert math.isinf(found) and found.outcome is Outcome.UNLIMITED
 
 
+@pytest.mark.parametrize("part", [0.99, 1.01])
+def test_a_passive_loop_says_why_no_stiffness_is_too_large(part: float):
+    """Re Z = (kd - kp T)/(1 + T^2 w^2): passive up to a lag of T = kd/kp."""
+    loop = mfc.ClosedLoop(
+        mfc.robots.slider(M), mfc.laws.JointPID(300.0, None, 20.0), mfc.trajectories.Hold([0.0]), environment=mfc.Environment(100.0, preload=5.0),
+        hardware=mfc.Hardware(torque_lag=part * 20.0 / 300.0),
+    )  # fmt: skip
+    found = design.max_stiffness(loop, upper=1e9)
+    assert any("passive at the tool" in note for note in found.notes) == math.isinf(found) == (part < 1)
+
+
 def test_an_undamped_integrating_wall_is_unstable_whatever_its_stiffness():
     found = design.max_stiffness(pressing(kdamp=0.0))
     assert float(found) == 0.0 and found.outcome is Outcome.NOWHERE

@@ -48,6 +48,7 @@ PICTURES: dict[str, Callable[..., Axes]] = {
     "margins at one time": LATE_LIN.again(np.array([0.5])).margins().plot,
     "disk margin": LIN.disk_margin().plot,
     "port": LIN.port(np.geomspace(0.1, 1e3, 21)).plot,
+    "passivity": LIN.passivity().plot,
     "step": LIN.step().plot,
     "steps": LIN.steps(np.linspace(0, 1, 11)).plot,
     "simulation": LOOP.simulate(0.5, 0.1).plot,
