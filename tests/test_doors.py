@@ -198,7 +198,6 @@ NAMES: dict[str, Door] = {
     **doors(LAWS.TaskVelocity, "form", kp=1.0),
     **doors(LAWS.ComputedTorque, "form", kp=1.0),
     **doors(LAWS.TaskComputedTorque, "form", kp=1.0),
-    **doors(LAWS.Impedance, "feedforward", stiffness=1.0, damping=1.0),
     **doors(LAWS.HybridMotionForce, "form projection", F, 1.0, constraints=np.eye(6)[:1]),
     **doors(constraints.ConstraintSet, "natural"),
     "ConstraintSet(artificial=)": lambda value: constraints.ConstraintSet(constraints.peg_in_hole().natural, value),
