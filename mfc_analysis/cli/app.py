@@ -18,7 +18,6 @@ app = typer.Typer(
     help="Stability, margins and gains of the control loops of a robot arm.",
     no_args_is_help=True,
     rich_markup_mode=None,  # plain help, in half the time
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -76,6 +75,23 @@ def report(
     with terminal.progress("report") as advance:
         files = study_report.chapter(out, formats, advance) if study is None else study_report.report(_study(study), out, formats, advance)
     terminal.say(*(str(path) for path in files))
+
+
+@app.command()
+@terminal.guarded
+def schema(out: Annotated[Path | None, typer.Option(help="File to write; default: print it.")] = None) -> None:
+    """Write the JSON schema of studies, for editors."""
+    import json
+
+    from mfc_analysis.maths import files
+    from mfc_analysis.study.json_schema import json_schema
+
+    text = json.dumps(json_schema(), indent=2)
+    if out is None:
+        terminal.say(text)
+    else:
+        files.write(out, f"{text}\n".encode())
+        terminal.say(str(out))
 
 
 @app.command()

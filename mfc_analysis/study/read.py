@@ -9,7 +9,7 @@ import hashlib
 import itertools
 import os
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from mfc_analysis.maths import checks, files
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.study.errors import StudyError
 from mfc_analysis.study.messages import explained, has
-from mfc_analysis.study.schema import DECIDING, LoopTable, SpanTable, StudyTable
+from mfc_analysis.study.schema import LoopTable, SpanTable, StudyTable
 from mfc_analysis.study.tables import REFERENCES, PoseTable, Table, tables_of
 
 if TYPE_CHECKING:
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 LARGEST = 4_000_000  #: bytes of a study file
 DEEPEST = 20  #: tables and lists within one another
 MOST_CASES = 1000  #: most combinations of ranges in a study
+
+#: keys that define a table: a ``[[loop]]`` with one of them replaces the table; otherwise it changes some of its keys
+DECIDING: dict[str, Sequence[str]] = {"robot": ("name", "load", "urdf", "mjcf"), "law": ("equation", "name"), "reference": ("kind",)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
@@ -43,7 +42,7 @@ def _several(value: Any) -> Any:
     return [value] if isinstance(value, dict) else value
 
 
-Locked = Annotated[Any, PlainValidator(_locked)]
+Locked = Annotated[Any, PlainValidator(_locked, json_schema_input_type=list[str] | dict[str, float])]
 
 # --- robot ---------------------------------------------------------------------------------------------------------------
 
@@ -80,6 +79,9 @@ def _friction(value: Any) -> Any:
     return value
 
 
+Payloads = Annotated[list[PayloadTable], BeforeValidator(_payloads, json_schema_input_type=PayloadTable | list[PayloadTable] | Literal[False])]
+
+
 class BodyTable(Table):
     """The quantities in which plant and controller's model can differ."""
 
@@ -91,11 +93,11 @@ class BodyTable(Table):
     tool: str | None = None
     locked: Locked | None = None
     joints: list[str] | None = None
-    friction: Annotated[FrictionTable | None, BeforeValidator(_friction)] = None
+    friction: Annotated[FrictionTable | None, BeforeValidator(_friction, json_schema_input_type=FrictionTable | Literal["urdf", "none"])] = None
     gravity: Three | None = None  #: [m/s^2], base axes
     armature: Values | None = None  #: [kg m^2, kg]
     inertia_scale: Number = 1.0  #: of every mass and inertia, payload not included
-    payload: Annotated[list[PayloadTable], BeforeValidator(_payloads)] = Field(default_factory=list)
+    payload: Payloads = Field(default_factory=list)
 
 
 class RobotTable(BodyTable):
@@ -181,6 +183,10 @@ def _constraints(value: Any) -> Any:
     return {"rows": value} if isinstance(value, list) else {"set": value} if isinstance(value, str) else value
 
 
+_SAID_ROWS = ConstraintsTable | str | list[list[float]]
+Constraints = Annotated[ConstraintsTable, BeforeValidator(_constraints, json_schema_input_type=_SAID_ROWS)]
+
+
 class LawTable(Table):
     """The law, by equation number or class name, with its parameters."""
 
@@ -206,7 +212,9 @@ class LawTable(Table):
     kfp: Values | None = None
     kfi: Values | None = None
     kdamp: Values | None = None
-    constraints: Annotated[ConstraintsTable | None, BeforeValidator(_constraints)] = None
+    constraints: Annotated[
+        ConstraintsTable | None, BeforeValidator(_constraints, json_schema_input_type=ConstraintsTable | str | list[list[float]])
+    ] = None
     projection: str | None = None
 
     @model_validator(mode="after")
@@ -280,7 +288,7 @@ class SpanTable(Table):
         return [self.low + (self.high - self.low) * i / (self.count - 1) for i in range(self.count)]
 
 
-Span = Annotated[SpanTable, BeforeValidator(_span)]
+Span = Annotated[SpanTable, BeforeValidator(_span, json_schema_input_type=SpanTable | list[float])]
 
 
 class RangesTable(Table):
@@ -355,6 +363,10 @@ class ReportTable(Table):
     formats: list[Format] = Field(default_factory=lambda: list(FORMATS))
 
 
+Surfaces = Annotated[list[EnvironmentTable], BeforeValidator(_several, json_schema_input_type=EnvironmentTable | list[EnvironmentTable])]
+Measurements = Annotated[list[MeasuredTable], BeforeValidator(_several, json_schema_input_type=MeasuredTable | list[MeasuredTable])]
+
+
 class LoopTable(Table):
     """One loop of a study, and its requirements."""
 
@@ -366,15 +378,15 @@ class LoopTable(Table):
     q_start: Vector | None = None
     q_start_deg: Vector | None = None
     reference: ReferenceTable
-    environment: Annotated[list[EnvironmentTable], BeforeValidator(_several)] = Field(default_factory=list)
+    environment: Surfaces = Field(default_factory=list)
     hardware: HardwareTable | None = None
-    times: Annotated[TimesTable | None, BeforeValidator(_span)] = None
+    times: Annotated[TimesTable | None, BeforeValidator(_span, json_schema_input_type=TimesTable | list[float])] = None
     at: str | None = None
     horizon: Annotated[float, Field(gt=0)] | None = None  #: [s] of the verdict; inf: every root is judged by its sign
     requirements: RequirementsTable = RequirementsTable()
     ranges: RangesTable = RangesTable()
     design: DesignTable = DesignTable()
-    measured: Annotated[list[MeasuredTable], BeforeValidator(_several)] = Field(default_factory=list)
+    measured: Measurements = Field(default_factory=list)
 
 
 class StudyTable(LoopTable):
@@ -384,7 +396,3 @@ class StudyTable(LoopTable):
     text: str | None = None  #: a paragraph of the report
     report: ReportTable = ReportTable()
     loop: list[dict[str, Any]] = Field(default_factory=list)
-
-
-#: keys that define a table: a ``[[loop]]`` with one of them replaces the table; otherwise it changes some of its keys
-DECIDING: dict[str, Sequence[str]] = {"robot": ("name", "load", "urdf", "mjcf"), "law": ("equation", "name"), "reference": ("kind",)}

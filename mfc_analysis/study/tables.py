@@ -9,7 +9,7 @@ import math
 import sys
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, PlainValidator, Tag, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, PlainValidator, Tag, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
 from mfc_analysis.dynamics.coded import Rule
@@ -58,11 +58,17 @@ def _directions(value: Any) -> Any:
     return value if isinstance(value, str) else _values(value)
 
 
-Number = Annotated[float, PlainValidator(_number)]
-Values = Annotated[Any, PlainValidator(_values)]  #: a number, a vector or a matrix
-Directions = Annotated[Any, PlainValidator(_directions)]  #: "xyz", "xyzrz", or the rows of a matrix
-Vector = Annotated[list[float], PlainValidator(_vector)]
-Three = Annotated[list[float], PlainValidator(_three)]
+_A_NUMBER: dict[str, Any] = {"type": "number"}
+_A_LIST: dict[str, Any] = {"type": "array", "items": _A_NUMBER, "minItems": 1}
+_ROWS: dict[str, Any] = {"type": "array", "items": _A_LIST, "minItems": 1}
+
+Number = Annotated[float, PlainValidator(_number), WithJsonSchema(_A_NUMBER)]
+#: a number, a vector or a matrix
+Values = Annotated[Any, PlainValidator(_values), WithJsonSchema({"anyOf": [_A_NUMBER, _A_LIST, _ROWS]})]
+#: "xyz", "xyzrz", or the rows of a matrix
+Directions = Annotated[Any, PlainValidator(_directions), WithJsonSchema({"anyOf": [{"type": "string"}, _ROWS]})]
+Vector = Annotated[list[float], PlainValidator(_vector), WithJsonSchema(_A_LIST)]
+Three = Annotated[list[float], PlainValidator(_three), WithJsonSchema({**_A_LIST, "minItems": 3, "maxItems": 3})]
 
 
 class Table(BaseModel):
@@ -133,7 +139,7 @@ def _pose(value: Any) -> Any:
     return {"matrix": value} if isinstance(value, list) else value
 
 
-Pose = Annotated[PoseTable, BeforeValidator(_pose)]
+Pose = Annotated[PoseTable, BeforeValidator(_pose, json_schema_input_type=PoseTable | list[list[float]])]
 
 
 class HoldTable(Table):

@@ -364,3 +364,10 @@ cli.main()"""
     for number in numbers:
         with pytest.raises(ProcessLookupError):
             os.kill(number, 0)
+
+
+def test_the_shell_completes_commands():
+    words = {"_MFC_ANALYSIS_COMPLETE": "complete_bash", "COMP_WORDS": "mfc-analysis che", "COMP_CWORD": "1"}
+    code = "import sys; sys.argv = ['mfc-analysis']; from mfc_analysis.cli import main; main()"  # as the script does
+    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **words}, capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == ["check"]
