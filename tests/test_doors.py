@@ -35,6 +35,7 @@ LOOP = mfc.ClosedLoop(JOINT, mfc.laws.JointPID(50, 100, 10), mfc.trajectories.Ho
 TOUCH = mfc.ClosedLoop(
     SLIDER, mfc.laws.DampedForcePI(F, 1.0, 1.0, 50.0), mfc.trajectories.Hold([0.1]), environment=mfc.Environment(1e3, 10.0, preload=5.0)
 )
+BOUNCING = mfc.ClosedLoop(SLIDER, mfc.laws.OpenLoopForce(F), mfc.trajectories.Hold([0.1]), environment=mfc.Environment(1e3, one_sided=True))
 LIN, LAG = LOOP.linearize(), TOUCH.linearize()
 LAWS, PATHS, GAINS, DESIGN, ROBOTS = mfc.laws, mfc.trajectories, mfc.gains, mfc.design, mfc.robots
 ONE = mfc.Requirements(phase_deg=1)
@@ -160,6 +161,7 @@ NUMBERS: dict[str, Door] = {
     **doors(DESIGN.max_stiffness, "upper times horizon", TOUCH),
     **doors(DESIGN.max_bandwidth, "times lower upper", lambda w: LOOP, ONE, times=[0.0]),
     **doors(DESIGN.over_delay, "delays time horizon", LOOP, delays=[0.1]),
+    **doors(DESIGN.impact, "speeds stiffness duration", BOUNCING, speeds=[0.1], duration=0.01),
     **doors(DESIGN.over_stiffness, "stiffness time horizon", TOUCH, stiffness=[1e3]),
     **doors(DESIGN.delay_map, "delays values horizon", lambda v: LOOP, delays=[0.1], values=[1.0]),
     **doors(DESIGN.stiffness_map, "stiffness values horizon", lambda v: TOUCH, stiffness=[1e3], values=[1.0]),
@@ -217,6 +219,7 @@ NAMES: dict[str, Door] = {
     **doors(ONE.check, "loop at", LOOP, [0.0]),
     **doors(mfc.Requirements.from_mapping, "asked"),
     **doors(ONE.check(LOOP, [0.0]).line, "name"),
+    **doors(DESIGN.impact, "loop", speeds=[0.1]),
     **doors(DESIGN.max_delay, "loop"),
     **doors(DESIGN.over_delay, "loop", delays=[0.1]),
     **doors(DESIGN.over_stiffness, "loop", stiffness=[0.1]),

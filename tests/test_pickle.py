@@ -85,6 +85,9 @@ def bounced() -> mfc.Simulation:
     return loop.simulate(0.2, q=[-0.01], v=[0.1])
 
 
+TOUCHED = mfc.ClosedLoop(
+    mfc.robots.slider(), mfc.laws.OpenLoopForce(F), mfc.trajectories.Hold([0.0]), environment=mfc.Environment(1e4, 5.0, one_sided=True)
+)
 NOISE = np.random.default_rng(5).normal(size=2000)
 
 
@@ -126,6 +129,7 @@ def results() -> dict[str, Any]:
         "worst case": mfc.design.worst_case(_heavier, {"mass": [0.0, 1.0]}, [0.0], "phase_deg"),
         "attribution": mfc.design.attribute(_made(20.0), mfc.Requirements(phase_deg=30)),
         "tuned gains": mfc.design.tune(_made, {"bandwidth": (1.0, 100.0)}, mfc.Requirements(phase_deg=30)),
+        "impact": mfc.design.impact(TOUCHED, [0.1], duration=0.05),
         "stiffness sweep": mfc.design.over_stiffness(PRESSING, [1e3, 1e4]),
         "stability map": mfc.design.stiffness_map(lambda gain: _pressing(gain), [1e3, 1e4], [10.0, 20.0]),
         "delay map": mfc.design.delay_map(lambda hz: _made(hz), [1e-3, 5e-3], [10.0, 20.0]),

@@ -1,5 +1,6 @@
 from .attribution import Attribution as Attribution, attribute as attribute
 from .dead_time import DelayMap as DelayMap, delay_map as delay_map, over_delay as over_delay
+from .impact import Impact as Impact, impact as impact
 from .limits import (
     max_bandwidth as max_bandwidth,
     max_delay as max_delay,

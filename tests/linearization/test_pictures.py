@@ -36,6 +36,11 @@ def pressing(kfi: float) -> mfc.ClosedLoop:
     return mfc.ClosedLoop(mfc.robots.slider(1.0), law, mfc.trajectories.Hold([0.0]), environment=wall, hardware=mfc.Hardware(torque_lag=5e-3))
 
 
+def touching() -> mfc.ClosedLoop:
+    wall = mfc.Environment(stiffness=1e4, damping=10.0, axes="z", one_sided=True)
+    return mfc.ClosedLoop(mfc.robots.slider(1.0), mfc.laws.OpenLoopForce([0, 0, 5, 0, 0, 0]), mfc.trajectories.Hold([0.0]), environment=wall)
+
+
 #: what has a picture -> a function of ax
 PICTURES: dict[str, Callable[..., Axes]] = {
     "bode": LIN.plot_bode,
@@ -57,6 +62,8 @@ PICTURES: dict[str, Callable[..., Axes]] = {
     "growth": LIN.transient_growth().plot,
     "coupling": coupling(LIN, (LIN.input_names[0],), (LIN.output_names[1],), [1.0, 10.0, 100.0]).plot,
     "stiffness": mfc.design.over_stiffness(pressing(20.0), np.geomspace(1e2, 1e5, 11)).plot,
+    "impact": mfc.design.impact(touching(), [0.05, 0.1], [1e3, 1e4], duration=0.05).plot,
+    "impact of one run": mfc.design.impact(touching(), [0.05], duration=0.05).plot,
     "stiffness map": mfc.design.stiffness_map(pressing, np.geomspace(1e2, 1e5, 11), [5.0, 20.0, 80.0]).plot,
     "delay map": mfc.design.delay_map(lambda k: made(), [1e-3, 5e-3, 2e-2], [1.0, 2.0]).plot,
 }
