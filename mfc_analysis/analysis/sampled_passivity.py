@@ -5,7 +5,8 @@ frequencies, a and b of the rank of the joints. With H = D + D^H > 0, and W = [a
 theta if and only if the smallest eigenvalue of [[0, I], [I, 0]] W is at least -1. For one mass with friction on a sampled controller H(z)
 this is Colgate & Schenkel's condition b > h/2 Re{(1 - e^{-jwh}) H(e^{jwh})} / (1 - cos wh).
 
-A plant without friction is never passive then, nor is one whose rate is sampled without a filter before the sampler: the sum has no limit.
+A plant without friction is never passive then, nor is one whose rate is sampled without a filter before the sampler: the sum has no limit. With
+the rate from differences of the encoder (``Hardware.derivative_rule``) a wall K, B needs b > K h/2 + abs(B).
 
 Sources: Fardad & Bamieh, IEEE Trans. Automatic Control 54 (2009) 611-614; Colgate & Schenkel, J. Robotic Systems 14 (1997) 37-47.
 """

@@ -135,7 +135,7 @@ def impact(
         max_evaluations: of each run, as ``ClosedLoop.simulate``.
         progress: a bar on the terminal. n_jobs: processes, as in ``sweep``.
 
-    Raises BadArgument: no such surface, or an arm that cannot move along its normal.
+    Raises BadArgument: a law with velocity inputs, no such surface, or an arm that cannot move along its normal.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     v = _positive("speeds", speeds, FASTEST, "m/s")
@@ -178,6 +178,8 @@ def _positive(argument: str, given: ArrayLike, high: float, unit: str) -> Array:
 
 def _touched(loop: ClosedLoop) -> tuple[int, int]:
     """The surface, and the axis of its compliance frame, that is touched."""
+    if loop.equations.actuator != "torque":
+        raise BadArgument("loop", str(loop), "a law with torque inputs: under a velocity law the tool has no speed of its own at the touch")
     some = [i for i, s in enumerate(loop.equations.surfaces) if s.one_sided and min(s.index) < 3]
     if len(some) != 1:
         takes = "a loop with exactly one surface of mfc.Environment(..., one_sided=True) that has a translation"

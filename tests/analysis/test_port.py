@@ -46,6 +46,21 @@ def test_the_sensor_sees_the_push_with_the_other_sign() -> None:
     assert_allclose(found, (1 + sensed) / (M * S + (k / S + c) * (1 + sensed) + late * kdamp), rtol=1e-9)
 
 
+def test_an_admittance_is_the_one_asked_for_behind_the_drives() -> None:
+    """M_d w' = f - D w - K x and x' = w behind a lag T: Y = s/((M_d s^2 + D s)(1 + T s) + K); the push is measured with the other sign."""
+    m, D, K, T = 3.0, 40.0, 200.0, 5e-3
+    law = mfc.laws.Admittance(np.zeros(6), m, D, K, axes="z")
+    loop = mfc.ClosedLoop(mfc.robots.slider(M), law, HOLD, q_start=[0.0], hardware=mfc.Hardware(velocity_lag=T))
+    found = loop.linearize().port(W).admittance[0, :, 2, 2]
+    assert_allclose(found, S / ((m * S**2 + D * S) * (1 + T * S) + K), rtol=1e-9)
+
+
+def test_an_impedance_shows_the_spring_and_the_damper_asked_for() -> None:
+    K, D = 200.0, 40.0
+    found = on_slider(mfc.laws.Impedance(K, D, axes="z")).linearize().port(W).admittance[0, :, 2, 2]
+    assert_allclose(found, S / (M * S**2 + D * S + K), rtol=1e-9)
+
+
 def test_a_sampled_spring_is_as_by_hand_and_takes_away_half_a_sample_of_damping() -> None:
     """One mass with friction b under tau = -K x, sampled: the pulse transfer function of 1/(s (m s + b)) is that of the tables."""
     K, b, T = 400.0, 3.0, 1e-2

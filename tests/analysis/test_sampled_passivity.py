@@ -37,6 +37,17 @@ def test_a_spring_needs_half_a_sample_of_its_stiffness(K: float, part: float) ->
     assert loop.linearize().passivity().passive[0] == (part > 1)
 
 
+@pytest.mark.parametrize(("K", "B"), [(400.0, 5.0), (100.0, 10.0), (400.0, -1.5)])
+def test_a_virtual_wall_coded_with_differences_needs_half_a_sample_of_its_stiffness_and_its_damping(K: float, B: float) -> None:
+    """b > K h/2 + abs(B), Colgate and Schenkel's example: H(z) = K + B (z - 1)/(h z)."""
+    b, coded = K * H / 2 + abs(B), mfc.Hardware(sample_time=H, derivative_rule="backward")
+    for part in (0.999, 1.001):
+        found = mfc.ClosedLoop(mfc.robots.slider(M, part * b), mfc.laws.JointPID(K, None, B), HOLD, hardware=coded).linearize().passivity()
+        assert found.passive[0] == (part > 1)
+        if part < 1:
+            assert_allclose(found.damping[0], (1 - part) * b, rtol=1e-3)
+
+
 CASES = (
     (400.0, 20.0, 2e-2, 0),  # worst at the Nyquist frequency
     (400.0, 20.0, 2e-2, 1),  # worst in between

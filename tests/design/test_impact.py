@@ -175,6 +175,9 @@ def test_what_cannot_be_touched_is_refused() -> None:
             impact(FORCE, speeds)
     with pytest.raises(BadArgument, match="stiffness"):
         impact(FORCE, [0.1], [-1.0])
+    law = mfc.laws.Admittance(PRESS, 1.0, 50.0, axes="z")
+    with pytest.raises(BadArgument, match="torque inputs"):
+        impact(slider(law, velocity_lag=1e-2), [0.1])
     flat = mfc.ClosedLoop(
         mfc.robots.planar_2r(), mfc.laws.JointPID(100.0, None, 10.0), mfc.trajectories.Hold([0.3, 0.8]),
         environment=mfc.Environment(K, axes="z", one_sided=True),
