@@ -53,6 +53,8 @@ def _at(port: PortSystem, theta: Array) -> Array:
     shape = (theta.size, n.size)
     parts = under_hold(port, on_axis((theta[:, None] + 2 * np.pi * n / h).ravel()))
     direct, held, measured = (x[0].reshape(*shape, *x.shape[2:]) for x in parts)
+    if not direct.any():  # the force acts through the sampled sensor only: it is not seen between the samples
+        return np.full(theta.size, -np.inf)
     through = controller(port, np.exp(1j * theta * h))[0][:, None]
     H = direct + np.swapaxes(direct, -1, -2).conj()
     values, V = np.linalg.eigh(H)

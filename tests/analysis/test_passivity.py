@@ -16,6 +16,7 @@ from mfc_analysis.analysis.passivity import Passive, Passivity, passivity
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.linearization.port import port_system
+from tests.conftest import regular_pose
 from tests.plots.drawn import lines, uprights
 from tests.soak.passivity import judged, random_loop
 
@@ -121,6 +122,14 @@ def test_the_damping_is_the_smallest_that_makes_it_passive(law: tuple[float, flo
         damped = port.damped(part * b)
         known = replace(stability(damped.opened), stable=np.array([True]))
         assert passivity(damped, "tool", known).passive[0] == (part > 1)
+
+
+@pytest.mark.parametrize(("inertia", "lag", "passive"), [(None, None, True), (None, 2e-3, True), (0.1, None, True), (0.1, 2e-3, False)])
+def test_impedance_control_is_passive_unless_it_hides_inertia_behind_a_lag(inertia: float | None, lag: float | None, passive: bool) -> None:
+    law = mfc.laws.Impedance([500.0] * 3 + [20.0] * 3, [50.0] * 3 + [2.0] * 3, inertia)
+    hold, hardware = mfc.trajectories.Hold(regular_pose("ur5")), mfc.Hardware(torque_lag=lag)
+    found = mfc.ClosedLoop(mfc.robots.ur5(), law, hold, hardware=hardware).linearize().passivity()
+    assert found.passive[0] == passive and found.outcome[0] is (Passive.PASSIVE if passive else Passive.NOT_PASSIVE)
 
 
 @pytest.mark.parametrize("i", range(24))

@@ -79,6 +79,13 @@ def test_without_friction_no_sampled_loop_is_passive_and_a_sampled_rate_never_is
         assert lin.stable.all() and not found.passive.any() and found.damping[0] == np.inf
 
 
+def test_an_arm_that_only_its_sampled_sensor_moves_is_not_passive() -> None:
+    law, drives = mfc.laws.Admittance(np.zeros(6), 3.0, 40.0, 200.0, axes="z"), mfc.Hardware(sample_time=1e-3)
+    lin = mfc.ClosedLoop(mfc.robots.slider(M), law, HOLD, q_start=[0.0], hardware=drives).linearize()
+    found = lin.passivity()
+    assert lin.stable.all() and not found.passive[0] and found.damping[0] == np.inf
+
+
 def test_two_joints_are_judged_as_one_does_each() -> None:
     """Two sliders of a decoupled arm: the friction of each has to be enough for its own spring."""
     robot = mfc.robots.rp(gravity=0.0)

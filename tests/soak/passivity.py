@@ -5,7 +5,7 @@ Not collected by pytest and not part of CI, which runs a sample of it: ``python 
 - a loop that is called passive is not stable on some spring at its tool of 10 to 1e9 N/m (Nm/rad), alone or with a damper, of any orientation;
 - a loop without dead time that is called not passive is stable, by the eigenvalues of the whole, on every environment tried of one degree of
   freedom (a mass, a spring and a damper at the tool along its worst real direction), or where only complex directions give energy, of several;
-- the extra damping leaves the loop not passive, or 1 % less of it makes it passive too.
+- the extra damping leaves a loop that is not sampled not passive, or 1 % less of it makes it passive too.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SPRINGS = np.geomspace(1e1, 1e9, 9)
 
 
 def random_loop(rng: np.random.Generator) -> mfc.ClosedLoop:
-    """A loop of one to six joints under one of five laws, in contact or not, with lag, dead time, friction, elastic joints or none of these."""
+    """A loop of one to six joints under one of seven laws, in contact or not, with lag, dead time, friction, elastic joints, sampling or none."""
     which = rng.integers(3)
     robot = (mfc.robots.slider(float(rng.uniform(0.5, 5))), mfc.robots.planar_2r(), mfc.robots.ur5())[which]
     size = ([1.0], [3.0, 1.0], [3.0, 3.0, 1.0, 0.3, 0.2, 0.1])[which]
@@ -44,16 +44,23 @@ def random_loop(rng: np.random.Generator) -> mfc.ClosedLoop:
         parts["delay"] = float(10 ** rng.uniform(-3.5, -2.3))
     if rng.random() < 0.2:
         parts |= {"joint_stiffness": 10 ** rng.uniform(3, 5), "joint_damping": 10 ** rng.uniform(-1, 1), "motor_inertia": 10 ** rng.uniform(-1.5, 0)}
+    if rng.random() < 0.2:
+        parts |= {"sample_time": 10 ** rng.uniform(-3.5, -2), "derivative_rule": "backward"}
     w, damping = 10 ** rng.uniform(0.5, 1.7), rng.uniform(0.3, 1.5)
     kp, kd = w**2, 2 * damping * w
     ki = kp * w * 0.1 if rng.random() < 0.15 else None
-    kind = rng.integers(4 if which < 2 else 5)
+    kind = rng.integers(4 if which < 2 else 7)
     ref, environment, F = mfc.trajectories.Hold(q), None, np.array([0, 0, 5.0, 0, 0, 0])
     if kind == 3:
         law: mfc.laws.Law = mfc.laws.DampedForcePI(F, float(rng.uniform(0, 1)), float(rng.uniform(0, 5)), np.full(6, 10 ** rng.uniform(1, 2.5)))
         environment = mfc.Environment([10 ** rng.uniform(2, 5)] * 6, 10 ** rng.uniform(0, 2), axes="xyzrxryrz", preload=[0, 0, 5.0, 0, 0, 0])
     elif kind == 4:
         law = mfc.laws.TaskComputedTorque(kp, ki, kd)
+    elif kind == 5:
+        law = mfc.laws.Impedance([10 * kp] * 3 + [kp] * 3, [10 * kd] * 3 + [kd] * 3, [5, 5, 5, 0.2, 0.2, 0.2] if rng.random() < 0.4 else None)
+    elif kind == 6:
+        law = mfc.laws.Admittance(np.zeros(6), np.array([5, 5, 5, 0.2, 0.2, 0.2]), 10 * kd, 10 * kp)
+        parts = {"servo": mfc.Servo(10 ** rng.uniform(1.5, 2.5))} if rng.random() < 0.7 else {}
     elif kind == 0:
         law = mfc.laws.JointPID(kp * np.array(size), None if ki is None else ki * np.array(size), kd * np.array(size))
     else:
@@ -140,14 +147,15 @@ def judged(loop: mfc.ClosedLoop, rng: np.random.Generator) -> tuple[str, str]:
     outcome = found.outcome[0]
     if outcome is Passive.PASSIVE:
         turn = rng.uniform(-1, 1, 3)
+        bare = isinstance(loop.law, mfc.laws.Admittance) and loop.equations.actuators.servo is None  # its velocity jumps: a damper does not apply
         for k in SPRINGS:
-            for damping in (0.0, float(10 ** rng.uniform(0, 4))):
+            for damping in (0.0,) if bare else (0.0, float(10 ** rng.uniform(0, 4))):
                 if not on_spring(loop, float(k), damping, turn):
                     return outcome.name, f"not stable on {k:.3g} N/m with {damping:.3g} Ns/m"
     if outcome is Passive.NOT_PASSIVE:
         port = port_system(loop.equations, lin.opened, lin.point.x, "tool")
         b = float(found.damping[0])
-        if np.isfinite(b):
+        if np.isfinite(b) and not lin.dt:
             for part, enough in ((1.001, True), (0.99, False)):
                 again = port.damped(part * b)
                 known = stability(again.opened)
@@ -155,7 +163,7 @@ def judged(loop: mfc.ClosedLoop, rng: np.random.Generator) -> tuple[str, str]:
                 verdict = passivity(again, "tool", known)
                 if bool(verdict.passive[0]) != enough and not (enough and verdict.outcome[0] is Passive.NOT_CERTIFIED):
                     return outcome.name, f"{part} of the extra damping {b:.4g}: {verdict}"
-        if not lin.delay:
+        if not (lin.delay or lin.dt):
             there, done = unsettled(port, found.frequencies[0])
             kind = outcome.name if there else "NOT_PASSIVE along complex directions"
             return kind, "" if done else f"no environment was found: {found}"
