@@ -275,7 +275,7 @@ def _formats(text: str) -> tuple[str, ...]:
 @app.command()
 @terminal.guarded
 def gains(
-    kind: Annotated[str, typer.Argument(help="p, pi, pd, pid, joint-pid, force-pi or cartesian-damping.")],
+    kind: Annotated[str, typer.Argument(help="p, pi, pd, pid, joint-pid, force-pi, cartesian-damping, impedance or admittance.")],
     bandwidth_hz: Annotated[float | None, typer.Option(help="Frequency at which T = L/(1 + L) falls to -3 dB, in Hz.")] = None,
     bandwidth: Annotated[float | None, typer.Option(help="As above, in rad/s.")] = None,
     natural_frequency_hz: Annotated[float | None, typer.Option(help="Natural frequency of the dominant poles, in Hz.")] = None,
@@ -288,18 +288,27 @@ def gains(
     ] = None,
     damping: Annotated[float | None, typer.Option(help="Damping ratio of the dominant pole pair; default: 1.")] = None,
     inertia: Annotated[str | None, typer.Option(help="Inertia: one or more numbers separated by commas, in kg m^2 or kg; default: 1.")] = None,
-    robot: Annotated[str | None, typer.Option(help="joint-pid, cartesian-damping: a URDF file, a study, or a robot name (see 'robots').")] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="joint-pid, cartesian-damping, impedance: a URDF file, a study, or a robot name (see 'robots').")
+    ] = None,
     tool: Annotated[str | None, typer.Option(help="Tool frame of the robot.")] = None,
     q: Annotated[
         str | None, typer.Option(help="Joint positions separated by commas, in rad or m; default: all 0, or the start of the study.")
     ] = None,
-    stiffness: Annotated[str | None, typer.Option(help="force-pi: stiffness of the surface, in N/m; cartesian-damping: one or six numbers.")] = None,
+    stiffness: Annotated[
+        str | None, typer.Option(help="force-pi, admittance: of the surface, in N/m; cartesian-damping, impedance: one or six numbers.")
+    ] = None,
     mass: Annotated[float | None, typer.Option(help="force-pi: moving mass, in kg.")] = None,
-    lag: Annotated[float | None, typer.Option(help="force-pi: lag of the torque loop, in s.")] = None,
+    lag: Annotated[float | None, typer.Option(help="force-pi, admittance: lag of the torque or velocity, in s.")] = None,
     torque_lag: Annotated[float | None, typer.Option(help="joint-pid: lag of each torque in the coupled loop, in s.")] = None,
-    delay: Annotated[float | None, typer.Option(help="joint-pid: dead time of each torque in the coupled loop, in s.")] = None,
+    delay: Annotated[
+        float | None, typer.Option(help="joint-pid: dead time of each torque in the coupled loop; admittance: all dead time of the loop; in s.")
+    ] = None,
     friction: Annotated[float | None, typer.Option(help="force-pi: friction of the moving mass, in N s/m.")] = None,
-    ratio: Annotated[float | None, typer.Option(help="cartesian-damping: damping ratio of each mode; default: 1.")] = None,
+    ratio: Annotated[float | None, typer.Option(help="cartesian-damping, impedance: damping ratio of each mode; default: 1.")] = None,
+    servo_hz: Annotated[float | None, typer.Option(help="admittance: -3 dB bandwidth of the arm's own servo, in Hz.")] = None,
+    servo: Annotated[float | None, typer.Option(help="As above, in rad/s.")] = None,
+    servo_damping: Annotated[float | None, typer.Option(help="admittance: damping ratio of the servo; default: 0.7071.")] = None,
 ) -> None:
     """Compute gains for a bandwidth, crossover or settling time. Prints the formula and the metrics achieved."""
     from mfc_analysis.cli import gains as gains_command

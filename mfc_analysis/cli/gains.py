@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mfc_analysis.gains.result import Gains
     from mfc_analysis.robots.robot import Robot
 
-KINDS = ("p", "pi", "pd", "pid", "joint-pid", "force-pi", "cartesian-damping")
+KINDS = ("p", "pi", "pd", "pid", "joint-pid", "force-pi", "cartesian-damping", "impedance", "admittance")
 
 
 def designed(kind: str, given: Mapping[str, Any]) -> Gains:

@@ -35,7 +35,7 @@ from mfc_analysis.analysis.loop_step import STEPS, SettlingStep
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.gains.force_loop import force_design
 from mfc_analysis.gains.joints import coupled_loop, motion
-from mfc_analysis.gains.result import Achieved, DampingMatrix, Gains, Value
+from mfc_analysis.gains.result import Achieved, Gains, Value
 from mfc_analysis.gains.scalar_loop import BOTH, SETTLING, LoopMetrics, loop_metrics
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
 
-__all__ = ["Achieved", "DampingMatrix", "Gains", "cartesian_damping", "force_pi", "joint_pid", "p", "pd", "pi", "pid"]
+__all__ = ["Achieved", "Gains", "force_pi", "joint_pid", "p", "pd", "pi", "pid"]
 
 _ASKED = ("bandwidth", "natural_frequency", "crossover", "settling_time")
 _DEFINITIONS = {
@@ -72,7 +72,7 @@ def p(
     both kinds of ``step``. ``inertia``: scalar or array > 0.
     Raises ``BadArgument``: none or two of them given, a number that is not positive, or a ``step`` without a settling time.
     """
-    return _design("p", _one_of(step, bandwidth, natural_frequency, crossover, settling_time), 1.0, inertia)
+    return _design("p", one_of(step, bandwidth, natural_frequency, crossover, settling_time), 1.0, inertia)
 
 
 def pi(
@@ -91,7 +91,7 @@ def pi(
     same for both kinds of ``step``; ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0.
     Raises ``BadArgument`` as ``p``.
     """
-    return _design("pi", _one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
+    return _design("pi", one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
 
 
 def pd(
@@ -110,7 +110,7 @@ def pd(
     ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
     Raises ``BadArgument`` as ``p``.
     """
-    return _design("pd", _one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
+    return _design("pd", one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
 
 
 def pid(
@@ -130,7 +130,7 @@ def pid(
     ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
     Raises ``BadArgument`` as ``p``.
     """
-    return _design("pid", _one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
+    return _design("pid", one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
 
 
 def joint_pid(
@@ -165,7 +165,7 @@ def joint_pid(
     """
     where = motion(robot, q)
     inertia = where.largest
-    asked = _one_of(step, bandwidth, natural_frequency, crossover, settling_time)
+    asked = one_of(step, bandwidth, natural_frequency, crossover, settling_time)
     made = _design("pid", asked, damping, inertia)
     notes = [f"inertia {where.where}: {np.array2string(inertia, precision=5, separator=', ')} kg m^2 (kg for prismatic joints), armature included"]
     if np.any(where.smallest < inertia * (1 - 1e-9)):
@@ -207,7 +207,7 @@ def force_pi(
     Returns gains that unpack into ``DampedForcePI(F_d, **gains)``. Raises ``BadArgument``: as ``pid``, and with the reason where no gains
     >= 0 meet the specification. Source: chapter, eqs. 9.22-9.23.
     """
-    name, value = _one_of(step, bandwidth, natural_frequency, crossover, settling_time)
+    name, value = one_of(step, bandwidth, natural_frequency, crossover, settling_time)
     k = checks.number("stiffness", stiffness, low=1e-9, high=1e12)
     m = checks.number("mass", mass, low=1e-9, high=1e9)
     T, b = checks.number("lag", lag, low=0.0, high=1e6), checks.number("friction", friction, low=0.0, high=1e12)
@@ -225,49 +225,10 @@ def force_pi(
         {"kfp": "-", "kfi": "1/s", "kdamp": "N s/m"},
         "poles of m T s^4 + (m + b T) s^3 + (b + kdamp + k_e T) s^2 + k_e (1 + kfp) s + k_e kfi placed at a pair (damping, w) and -p; "
         f"w = {found.natural_frequency:.6g} rad/s, p = {found.pole:.6g} rad/s, damping = {zeta:g}",
-        _asked_for(name, value),
+        asked_for(name, value),
         f"L at the force sensor: mass {m:g} kg on k_e = {k:g} N/m, torque lag {T:g} s, friction {b:g} N s/m",
         Achieved(f.bandwidth, f.crossover, f.settling_time, f.loop_settling_time, found.natural_frequency, found.damping, f.phase_deg),
         tuple(notes),
-    )
-
-
-def cartesian_damping(robot: Robot, q: ArrayLike, stiffness: ArrayLike, ratio: ArrayLike = 1.0) -> DampingMatrix:
-    r"""Damping matrix for a Cartesian stiffness, by double diagonalisation with the task inertia Lambda(q).
-
-    .. math:: \Lambda = Q Q^T, \quad K = Q \,\mathrm{diag}(w^2)\, Q^T, \quad D = 2 Q \,\mathrm{diag}(\zeta w)\, Q^T
-
-    so that Lambda x'' + D x' + K x = 0 decouples into six modes, each with damping ratio ``ratio``.
-
-    Args:
-        q: (n,) pose.
-        stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, N m/rad], tool frame (linear, angular).
-        ratio: >= 0, scalar or (6,) in the order of increasing modal frequency.
-
-    Returns ``DampingMatrix``: kp the (6, 6) stiffness, kd the (6, 6) damping [N s/m, N m s/rad]. Raises ``BadArgument``; ``NearSingular``
-    where the robot has no task inertia. Source: Albu-Schaeffer, Ott, Frese, Hirzinger, ICRA 2003, "Cartesian impedance control of
-    redundant robots".
-    """
-    from scipy.linalg import eigh
-
-    takes = "a positive number, (6,) positive numbers or a symmetric positive definite (6, 6) matrix"
-    K = checks.array("stiffness", stiffness, takes=takes)
-    K = K * np.eye(6) if K.ndim == 0 else np.diag(K) if K.shape == (6,) else np.array(K)
-    if K.shape != (6, 6) or np.abs(K - K.T).max() > 1e-9 * np.abs(K).max() or np.linalg.eigvalsh(K)[0] <= 0:
-        raise BadArgument("stiffness", stiffness, takes)
-    zeta = checks.per_joint("ratio", ratio, 6, low=0.0)
-    Lambda = np.asarray(_robot(robot).task_inertia(checks.array("q", q, (robot.n,))))
-    w2, V = eigh(K, Lambda)  # V^T Lambda V = I, V^T K V = diag(w2): Q = V^-T = Lambda V
-    Q = Lambda @ V
-    D = 2.0 * (Q * (zeta * np.sqrt(w2))) @ Q.T
-    unit = {"kp": "N/m, N m/rad", "kd": "N s/m, N m s/rad"}
-    return DampingMatrix(
-        {"kp": K, "kd": (D + D.T) / 2},
-        unit,
-        "Lambda = Q Q^T, K = Q diag(w^2) Q^T, D = 2 Q diag(ratio w) Q^T",
-        f"damping ratio {np.array2string(np.unique(zeta), precision=4)} of each mode of Lambda(q) x'' + D x' + K x = 0",
-        f"Lambda(q) x'' + D x' + K x = 0, modes at {np.array2string(np.sqrt(w2), precision=4, separator=', ')} rad/s",
-        None,
     )
 
 
@@ -287,7 +248,7 @@ _UNIT_INERTIA = {"kp": "1/s^2", "ki": "1/s^3", "kd": "1/s"}
 _PER_INERTIA = {"kp": "N m/rad or N/m", "ki": "N m/(rad s) or N/(m s)", "kd": "N m s/rad or N s/m"}
 
 
-def _one_of(step: SettlingStep, *given: float | None) -> tuple[str, float]:
+def one_of(step: SettlingStep, *given: float | None) -> tuple[str, float]:
     """The metric asked for, a field of ``LoopMetrics`` or "natural_frequency", and its value."""
     checks.choice("step", step, tuple(STEPS))
     asked = {name: value for name, value in zip(_ASKED, given, strict=True) if value is not None}
@@ -300,7 +261,7 @@ def _one_of(step: SettlingStep, *given: float | None) -> tuple[str, float]:
     return SETTLING[step] if name == "settling_time" else name, value
 
 
-def _asked_for(name: str, value: float) -> str:
+def asked_for(name: str, value: float) -> str:
     return f"{name.removeprefix('loop_')} = {value:.6g}: {_DEFINITIONS[name]}"
 
 
@@ -334,7 +295,7 @@ def _design(kind: str, asked: tuple[str, float], damping: float, inertia: ArrayL
     plain = I.ndim == 0 and float(I) == 1.0
     units = _UNITS.get(kind) or (_UNIT_INERTIA if plain else _PER_INERTIA)
     how = f"; w = {w:.6g} rad/s" + ("" if kind == "p" else f", damping = {zeta:g}") + (", I = 1" if plain else "")
-    return Gains(gains, {g: units[g] for g in gains}, formula + how, _asked_for(name, value), loop, _achieved(kind, gains, I))
+    return Gains(gains, {g: units[g] for g in gains}, formula + how, asked_for(name, value), loop, _achieved(kind, gains, I))
 
 
 def _achieved(kind: str, gains: Mapping[str, Value], I: Array) -> Achieved:
@@ -360,9 +321,3 @@ def _pair(kind: str, per: Mapping[str, float]) -> tuple[float, float]:
         return w, (per["kd"] / w - 1) / 2
     square, linear = (per["ki"], per["kp"]) if kind == "pi" else (per["kp"], per["kd"])
     return math.sqrt(square), linear / (2 * math.sqrt(square))
-
-
-def _robot(given: Robot) -> Robot:
-    from mfc_analysis.robots.robot import Robot
-
-    return checks.instance("robot", given, Robot, "a Robot, such as mfc.robots.ur5()")

@@ -200,7 +200,8 @@ def _over_bandwidth(one: StudyLoop) -> tuple[Loops, float]:
     gains = one.table.law.gains
     if gains is None:
         raise BadArgument("design.max_bandwidth", True, "a study with law.gains, the helper whose bandwidth is varied")
-    kept = {key: value for key, value in gains.given().items() if key in ("helper", "damping", "inertia", "stiffness", "mass", "lag", "friction")}
+    varied_keys = [key + unit for key in ("bandwidth", "natural_frequency", "crossover", "settling_time", "step") for unit in ("", "_hz")]
+    kept = {key: value for key, value in gains.given().items() if key not in varied_keys}
 
     def loops(bandwidth: float) -> list[ClosedLoop]:
         law = one.table.law.model_copy(update={"gains": type(gains)(**kept, bandwidth=bandwidth)})

@@ -259,6 +259,8 @@ class Parts:
         for key, parameter in signature(helper).parameters.items():
             if parameter.default is parameter.empty and key not in asked and key not in ("robot", "q"):
                 raise BadArgument(f"gains.{key}", None, f"a number, required by {table.helper}")
+        if table.helper == "impedance":
+            asked |= {"robot": self.model, "q": self.reference(0.0).q if self.reference.space == "joint" else self._start("q_start")}
         if table.helper == "joint_pid":
             asked |= {"robot": self.model, "q": self.reference if self.reference.space == "joint" else self._start("q_start")}
         found: Gains = helper(**asked)

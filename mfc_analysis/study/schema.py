@@ -122,8 +122,13 @@ class ModelTable(BodyTable):
 class GainsTable(Table):
     """Gains from a design helper: exactly one of bandwidth, natural_frequency, crossover (also ``_hz``) and settling_time."""
 
-    in_units: ClassVar[dict[str, str]] = {"bandwidth": "bandwidth_hz", "natural_frequency": "natural_frequency_hz", "crossover": "crossover_hz"}
-    helper: Literal["p", "pi", "pd", "pid", "joint_pid", "force_pi"]
+    in_units: ClassVar[dict[str, str]] = {
+        "bandwidth": "bandwidth_hz",
+        "natural_frequency": "natural_frequency_hz",
+        "crossover": "crossover_hz",
+        "servo": "servo_hz",
+    }
+    helper: Literal["p", "pi", "pd", "pid", "joint_pid", "force_pi", "impedance", "admittance"]
     bandwidth: Number | None = None
     bandwidth_hz: Number | None = None
     natural_frequency: Number | None = None
@@ -134,10 +139,15 @@ class GainsTable(Table):
     step: SettlingStep | None = None  #: of settling_time, "reference" if omitted
     damping: Number | None = None
     inertia: Values | None = None  #: p, pi, pd, pid
-    stiffness: Number | None = None  #: force_pi, as the next three
+    stiffness: Values | None = None  #: of the surface: force_pi, as the next three, and admittance; of the tool: impedance
     mass: Number | None = None
-    lag: Number | None = None
+    lag: Number | None = None  #: also admittance
     friction: Number | None = None
+    ratio: Values | None = None  #: impedance
+    servo: Number | None = None  #: admittance, as the next two
+    servo_hz: Number | None = None
+    servo_damping: Number | None = None
+    delay: Number | None = None  #: [s] also joint_pid
 
 
 class OuterTable(Table):

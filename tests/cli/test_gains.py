@@ -26,6 +26,10 @@ def test_gains_prints_what_the_helper_returns():
     assert loop.strip() == str(gains.pid(settling_time=0.5, step="loop")) and "0.5 s (step of the loop, T)" in loop
     arm = run("gains", "joint-pid", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--bandwidth", 20)
     assert arm.exit_code == 0 and "[N" in arm.stdout
+    wall = run("gains", "admittance", "--bandwidth-hz", 1, "--stiffness", 3000, "--servo-hz", 8, "--servo-damping", 0.7, "--delay", 0.016).stdout
+    assert wall.strip() == str(gains.admittance(bandwidth=hertz(1), stiffness=3000, servo=hertz(8), servo_damping=0.7, delay=0.016))
+    soft = run("gains", "impedance", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--stiffness", "900,900,900,40,40,40", "--ratio", 0.7).stdout
+    assert soft.strip() == str(gains.impedance(robots.ur5(), [0, -1, 1.4, -1.9, -1.57, 0], [900, 900, 900, 40, 40, 40], 0.7))
     assert run("gains", "cartesian-damping", "--robot", "ur5", "--q", "0,-1,1.4,-1.9,-1.57,0", "--stiffness", 1000).exit_code == 0
 
 

@@ -267,6 +267,21 @@ def test_a_sampled_controller_as_it_is_coded():
             parts(law={"equation": "9.11", "outer": bad})
 
 
+def test_the_gains_of_an_impedance_and_an_admittance_are_those_of_their_helpers():
+    soft = parts(law={"name": "Impedance", "gains": {"helper": "impedance", "stiffness": [900.0, 900.0, 900.0, 40.0, 40.0, 40.0], "ratio": 0.7}})
+    q = soft.reference(0.0).q if soft.reference.space == "joint" else soft.q_start
+    want = mfc.gains.impedance(soft.model, q, [900.0, 900.0, 900.0, 40.0, 40.0, 40.0], 0.7)
+    assert_allclose(soft.law.damping.array, want["damping"], rtol=1e-12)
+    helper = {"helper": "admittance", "bandwidth_hz": 1.0, "stiffness": 3000.0, "servo_hz": 8.0, "servo_damping": 0.7, "delay": 0.016}
+    arm = parts(law={"name": "Admittance", "F_d": [0.0, 0, 5, 0, 0, 0], "gains": helper}, hardware={"servo": {"bandwidth_hz": 8.0, "delay": 0.016}})
+    want = mfc.gains.admittance(bandwidth=mfc.hertz(1), stiffness=3000.0, servo=mfc.hertz(8), servo_damping=0.7, delay=0.016)
+    assert_allclose([arm.law.inertia.array, arm.law.damping.array], [want["inertia"], want["damping"]], rtol=1e-12)
+    servo = arm.hardware().servo
+    assert (servo.bandwidth, servo.delay) == (pytest.approx(mfc.hertz(8)), 0.016)
+    with pytest.raises(ValueError, match="bandwidth"):
+        parts(hardware={"servo": {"damping": 0.7}})
+
+
 def test_the_inverse_of_a_redundant_arm_is_a_key():
     law = {"equation": "9.16", "kp": 100.0, "kd": 20.0, "null_damping": 5.0}
     assert parts(law=law).law.inverse == "dynamic"
