@@ -86,6 +86,15 @@ def test_an_arm_that_only_its_sampled_sensor_moves_is_not_passive() -> None:
     assert lin.stable.all() and not found.passive[0] and found.damping[0] == np.inf
 
 
+def test_joints_that_follow_their_command_are_not_passive_between_the_samples() -> None:
+    """No force moves an ideal servo: its port has no mobility of its own, and the held command delays what the law gives."""
+    law = mfc.laws.Admittance(np.zeros(6), 4.0, 60.0, axes="z")
+    hardware = mfc.Hardware(sample_time=H, servo=mfc.Servo(50.0, 0.7, 0.016))
+    lin = mfc.ClosedLoop(mfc.robots.slider(M), law, HOLD, environment=mfc.Environment(900.0), hardware=hardware).linearize()
+    found = lin.passivity()
+    assert lin.stable.all() and not found.passive.any() and found.damping[0] == np.inf
+
+
 def test_two_joints_are_judged_as_one_does_each() -> None:
     """Two sliders of a decoupled arm: the friction of each has to be enough for its own spring."""
     robot = mfc.robots.rp(gravity=0.0)
