@@ -67,13 +67,16 @@ def report(
     study: Annotated[Path | None, typer.Argument(metavar="[STUDY]", help="A study file; default: the whole chapter on the embedded robots.")] = None,
     out: Annotated[Path, typer.Option(help="Output folder; nothing is written outside it.")] = Path("out"),
     format: Annotated[str, typer.Option(help="One or more of html, pdf, json, separated by commas.")] = "",
+    full: Annotated[bool, typer.Option("--full", help="The chapter with a page for each arm and misprint, and all figures.")] = False,
 ) -> None:
     """Write a report: HTML, PDF and machine-readable JSON."""
     from mfc_analysis.report import study as study_report
 
+    if full and study is not None:
+        raise BadArgument("--full", str(study), "the report of the chapter, without a study")
     formats = _formats(format)
     with terminal.progress("report") as advance:
-        files = study_report.chapter(out, formats, advance) if study is None else study_report.report(_study(study), out, formats, advance)
+        files = study_report.chapter(out, formats, advance, full=full) if study is None else study_report.report(_study(study), out, formats, advance)
     terminal.say(*(str(path) for path in files))
 
 

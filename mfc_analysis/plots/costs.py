@@ -35,7 +35,7 @@ def costs(names: Sequence[str], alone: ArrayLike, last: ArrayLike, together: flo
         [(i - 0.19, x) for i, x in enumerate(first)] + [(i + 0.19, x) for i, x in enumerate(then)] + [(f + i, x) for i, (_, x) in enumerate(ends)]
     ):
         said = sheet.written(float(x)) if np.isfinite(x) else "not defined" if np.isnan(x) else "no limit left" if x > 0 else "no limit"
-        ax.annotate(said, (max(x, 0.0) if np.isfinite(x) else 0.0, row), xytext=(3, 0), textcoords="offset points", va="center", fontsize=6.5)
+        ax.annotate(said, (max(x, 0.0) if np.isfinite(x) else 0.0, row), xytext=(3, 0), textcoords="offset points", va="center", fontsize=sheet.TEXT)
     low, high = ax.get_xlim()
     ax.set_xlim(low, high + 0.14 * ((high - low) or 1.0))
     ax.set_ylim(f + 1.6, -0.6)

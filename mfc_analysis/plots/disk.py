@@ -76,10 +76,10 @@ def disk(
     ax.plot([1], [0], marker="+", markersize=8, markeredgewidth=1.4, color=sheet.INK)
     upper = sheet.written(high) if np.isfinite(high) else "any"
     words = f"α = {sheet.written(alpha)}: gain {sheet.written(low)} to {upper}, ±{sheet.written(phase_deg)}°"
-    sheet.note(ax, words, (0.02, 0.98), va="top", inside=True)
+    sheet.note(ax, words, (0.0, 1.0), va="bottom", inside=True, shift=(0, 3))
     half = (right + 0.6) / 2
     ax.set_aspect("equal")
     ax.set_xlim(-0.6, right)
     ax.set_ylim(-half, half)
-    sheet.label(ax, "Re f", "Im f", title)
+    sheet.label(ax, "Re f", "Im f", title, pad=15)
     return ax

@@ -25,7 +25,7 @@ GOOD, BAD = "#00795a", "#b3261e"
 GREY, GRID, SHADE = "#6b7280", "#d5d9de", "#fbeee4"
 INK = "#000000"
 
-_SMALL, _TEXT = 7.5, 8.0  # [pt]
+TEXT = 8.0  #: [pt] of all text, as printed
 MINUS = "\N{MINUS SIGN}"
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LETTER = 0.075  # [inch] of a title, about
@@ -42,7 +42,7 @@ class Sheet:
 
 
 def _stack(
-    width: float, count: int, each: float, *, left: float = 0.62, right: float = 0.12, bottom: float = 0.44, top: float = 0.26, gap: float = 0.2
+    width: float, count: int, each: float, *, left: float = 0.74, right: float = 0.17, bottom: float = 0.44, top: float = 0.26, gap: float = 0.2
 ) -> Sheet:
     height = bottom + top + count * each + (count - 1) * gap
     panels = tuple((left, bottom + (count - 1 - i) * (each + gap), width - left - right, each) for i in range(count))
@@ -54,14 +54,14 @@ SHEETS: dict[str, Sheet] = {
     "two histories": _stack(6.5, 2, 1.15),
     "three histories": _stack(6.5, 3, 1.0),
     "four histories": _stack(6.5, 4, 0.95),
-    "bode": _stack(3.75, 2, 1.2, left=0.66),
-    "nyquist": Sheet((2.75, 3.3), ((0.52, 0.44, 2.11, 2.6),)),
-    "pole map": Sheet((3.1, 3.1), ((0.62, 0.44, 2.36, 2.4),)),
-    "step": _stack(3.4, 2, 1.1, left=0.66),
-    "response": _stack(3.4, 1, 1.9, left=0.66),
-    "map": Sheet((3.4, 2.9), ((0.68, 0.46, 2.58, 2.16),)),
-    "arm": Sheet((3.1, 3.1), ((0.56, 0.44, 2.42, 2.42),)),
-    "disc": Sheet((3.1, 3.1), ((0.56, 0.44, 2.42, 2.42),)),
+    "bode": _stack(3.75, 2, 0.98),
+    "nyquist": Sheet((2.75, 2.86), ((0.52, 0.44, 2.11, 2.16),)),
+    "pole map": Sheet((2.75, 2.86), ((0.62, 0.44, 2.01, 2.16),)),
+    "step": _stack(3.4, 2, 1.1),
+    "response": _stack(3.4, 1, 1.9),
+    "map": Sheet((3.25, 2.75), ((0.68, 0.46, 2.43, 2.03),)),
+    "arm": Sheet((3.1, 3.1), ((0.6, 0.44, 2.38, 2.42),)),
+    "disc": Sheet((3.1, 3.26), ((0.56, 0.44, 2.42, 2.42),)),
     "costs": Sheet((6.5, 3.0), ((1.3, 0.46, 5.08, 2.26),)),
     "block": Sheet((6.5, 1.9), ((0.0, 0.0, 6.5, 1.9),)),
 }
@@ -110,7 +110,7 @@ def _dress(ax: Axes) -> None:
     ax.set_facecolor("none")
     ax.grid(True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
-    ax.tick_params(labelsize=_SMALL, length=2.5, width=0.6, pad=2)
+    ax.tick_params(labelsize=TEXT, length=2.5, width=0.6, pad=2)
     from matplotlib.ticker import FuncFormatter
 
     for axis in (ax.xaxis, ax.yaxis):
@@ -120,14 +120,14 @@ def _dress(ax: Axes) -> None:
         spine.set_visible(name in ("left", "bottom"))
 
 
-def label(ax: Axes, x: str = "", y: str = "", title: str = "") -> None:
-    """Axis names with their units, and a title at the left."""
+def label(ax: Axes, x: str = "", y: str = "", title: str = "", pad: float = 4.0) -> None:
+    """Axis names with their units, and a title at the left, ``pad`` [pt] above the axes."""
     if x:
-        ax.set_xlabel(x, fontsize=_TEXT, labelpad=2)
+        ax.set_xlabel(x, fontsize=TEXT, labelpad=2)
     if y:
-        ax.set_ylabel(y, fontsize=_TEXT, labelpad=2)
+        ax.set_ylabel(y, fontsize=TEXT, labelpad=2)
     if title:
-        ax.set_title(title, fontsize=_TEXT, fontweight="bold", loc="left", pad=4)
+        ax.set_title(title, fontsize=TEXT, fontweight="bold", loc="left", pad=pad)
 
 
 def hide_times(axes: Sequence[Axes]) -> None:
@@ -150,7 +150,58 @@ def note(
 ) -> None:
     """A text at data coordinates (``inside``: axes coordinates, 0 to 1; ``mixed``: x of the data, y of the axes), moved by ``shift`` [pt]."""
     where = ax.transAxes if inside else ax.get_xaxis_transform() if mixed else ax.transData
-    ax.annotate(text, at, xycoords=where, xytext=shift, textcoords="offset points", fontsize=_SMALL, color=color, ha=ha, va=va, annotation_clip=False)
+    ax.annotate(text, at, xycoords=where, xytext=shift, textcoords="offset points", fontsize=TEXT, color=color, ha=ha, va=va, annotation_clip=False)
+
+
+def free_note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK, up: float = 7.0, ha: str = "left") -> None:
+    """A text beside a point in data coordinates, where no curve and no other text of these axes runs through it, if there is such a place.
+
+    Tried: above and below the point, at its right and left, each also further away. The limits of the axes must be final.
+
+    Args:
+        up: [pt] from the point to the middle of the text in the first place tried; ha: the side tried first ("left": the text is at the right).
+    """
+    import numpy as np
+
+    points = float(figure_of(ax).dpi) / 72.0
+    box, (x, y) = ax.get_window_extent(), ax.transData.transform(at)
+    wide, high = 0.62 * TEXT * len(text) * points, 1.2 * TEXT * points
+    curves = [_path(line) for line in ax.get_lines()]
+    taken = [t.get_window_extent() for t in ax.texts]
+    sides = (1, -1) if ha == "left" else (-1, 1)
+    best: tuple[float, float, float, str] | None = None
+    for step in (1.0, 1.9, 3.0):
+        for rise in (up * step, -up * step, 0.0):
+            for side in sides:
+                across = 4.0 if rise else 6.0 * step
+                low = x + side * across * points - (wide if side < 0 else 0.0)
+                base = y + rise * points - high / 2
+                if low < box.x0 or low + wide > box.x1 + 2 or base < box.y0 or base + high > box.y1 + 2:
+                    continue
+                hit = sum(
+                    int(np.count_nonzero((c[:, 0] > low) & (c[:, 0] < low + wide) & (c[:, 1] > base) & (c[:, 1] < base + high))) for c in curves
+                )
+                hit += sum(1000 for b in taken if min(b.x1, low + wide) > max(b.x0, low) and min(b.y1, base + high) > max(b.y0, base))
+                if best is None or hit < best[0]:
+                    best = (hit, side * across, rise, "left" if side > 0 else "right")
+    _, across, rise, side_of = best or (0.0, 4.0 * sides[0], up, ha)
+    note(ax, text, at, color=color, ha=side_of, shift=(across, rise))
+
+
+def _path(line: Any) -> Any:
+    """(k, 2) points along a curve in pixels, about two pixels apart; none of marks."""
+    import numpy as np
+
+    xy = np.column_stack([np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)])
+    if len(xy) < 2 or line.get_linestyle() in ("None", ":"):
+        return np.zeros((0, 2))
+    found = line.get_transform().transform(xy)
+    found = found[np.isfinite(found).all(axis=1)]
+    if len(found) < 2:
+        return np.zeros((0, 2))
+    at = np.concatenate(([0.0], np.cumsum(np.minimum(np.hypot(*np.diff(found, axis=0).T), 3e3))))
+    fine = np.linspace(0.0, at[-1], int(at[-1] / 2) + 2)
+    return np.column_stack([np.interp(fine, at, found[:, k]) for k in range(2)])
 
 
 def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = False) -> None:
@@ -167,7 +218,7 @@ def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = Fal
         labels, columns = (short, len(labels)) if above else ([x.removesuffix("_joint") for x in labels], 1 + (len(labels) > 3))
     if above:
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
-    ax.legend(handles, labels, ncols=columns, fontsize=_SMALL, frameon=False, handlelength=1.4, columnspacing=0.9, handletextpad=0.4, **place)
+    ax.legend(handles, labels, ncols=columns, fontsize=TEXT, frameon=False, handlelength=1.4, columnspacing=0.9, handletextpad=0.4, **place)
 
 
 def without_prefix(names: Sequence[str]) -> list[str]:
@@ -187,6 +238,14 @@ def without_prefix(names: Sequence[str]) -> list[str]:
     return [name[cuts[-1] :] for name in out] if cuts and sum(map(str.isalnum, common[: cuts[-1]])) > 2 else out
 
 
+def without_affixes(names: Sequence[str]) -> list[str]:
+    """Names of joints without what all of them begin with, and without the ending _joint that all of them have."""
+    out = [str(name) for name in names]
+    if len(out) > 1 and all(name.endswith("_joint") and len(name) > len("_joint") for name in out):
+        out = [name.removesuffix("_joint") for name in out]
+    return without_prefix(out)
+
+
 def fitting(labels: Sequence[str], room: float) -> list[str]:
     """Labels of a legend in one line of ``room`` [inch]: what is common to the names of the joints is removed first, then the ends of the longest.
 
@@ -197,7 +256,7 @@ def fitting(labels: Sequence[str], room: float) -> list[str]:
     if sum(map(len, out)) > letters and sum(x.endswith("_joint") for x in out) > 1:
         out = [x.removesuffix("_joint") for x in out]
     if sum(map(len, out)) > letters:
-        out = without_prefix(out)
+        out = without_affixes(out)
     sizes = [len(x) for x in out]
     while sum(sizes) > letters and max(sizes) > 3:
         sizes[sizes.index(max(sizes))] -= 1

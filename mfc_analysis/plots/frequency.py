@@ -122,7 +122,7 @@ def _gain_arrow(upper: Axes, lower: Axes, w: Array, values: Complex, factor: flo
 def _beside(ax: Axes, w: Array, text: str, x: float, y: float, color: str, up: float, left: bool = False) -> None:
     part = np.log(x / w[0]) / np.log(w[-1] / w[0])
     right = part > 0.75 or (left and part > 0.25)
-    sheet.note(ax, text, (x, y), color=color, ha="right" if right else "left", shift=(-3 if right else 3, up))
+    sheet.free_note(ax, text, (x, y), color=color, ha="right" if right else "left", up=up)
 
 
 def _crossing(w: Array, values: Complex, factor: float) -> float | None:
@@ -176,7 +176,7 @@ def nyquist(
     if np.isfinite(sensitivity_peak) and sensitivity_peak > 0:
         radius = 1 / sensitivity_peak
         ax.plot(-1 + radius * np.cos(turn), radius * np.sin(turn), color=sheet.INK, linewidth=1.0)
-        sheet.note(ax, f"1/Ms = {sheet.written(radius)}", (-1, -radius - 0.14), color=sheet.INK, ha="center", va="top")
+        sheet.note(ax, f"circle: 1/Ms = {sheet.written(radius)}", (1.0, 1.0), ha="right", va="bottom", inside=True, shift=(0, 4))
     if np.isfinite(crossover) and np.isfinite(phase_margin):
         at = complex(np.interp(np.log(crossover), np.log(w), np.real(values)), np.interp(np.log(crossover), np.log(w), np.imag(values)))
         arc = np.linspace(np.pi, np.pi + np.radians(phase_margin) * (1 if at.imag < 0 else -1), 60)

@@ -70,7 +70,7 @@ def log_axes(x: ArrayLike, y: ArrayLike) -> str:
 
 
 def _mark(ax: Axes, points: Sequence[tuple[float, float, bool]]) -> None:
-    for stable, marker, color, name in ((True, "o", sheet.GOOD, "simulated: settles"), (False, "X", sheet.BAD, "simulated: diverges")):
+    for stable, marker, color, name in ((True, "o", sheet.GOOD, "run settles"), (False, "X", sheet.BAD, "run diverges")):
         kept = [(a, b) for a, b, good in points if bool(good) is stable]
         if kept:
             a, b = zip(*kept, strict=True)

@@ -58,7 +58,7 @@ def _history(ax: Axes, found: Any, metric: str, asked: float | None) -> None:
     times = np.asarray(found.times, float)
     shown, alone = np.where(np.isfinite(values), values, np.nan), times.size == 1
     across = np.arange(values.shape[1], dtype=float)[None] if alone else np.repeat(times[:, None], values.shape[1], axis=1)
-    for j, name in enumerate(sheet.without_prefix(found.channels)):
+    for j, name in enumerate(sheet.without_affixes(found.channels)):
         if np.isnan(shown[:, j]).all():
             continue
         ax.plot(across[:, j], shown[:, j], color=sheet.colour(j), linewidth=1.3, label=name, marker="o" if alone else None, markersize=4.5)
@@ -69,7 +69,7 @@ def _history(ax: Axes, found: Any, metric: str, asked: float | None) -> None:
     if alone:
         ax.set_xlim(-0.5, values.shape[1] - 0.5)
         room = ax.get_position(original=True).width * float(sheet.figure_of(ax).get_figwidth())
-        ax.set_xticks(across[0], sheet.fitting(found.channels, room - 0.1))
+        ax.set_xticks(across[0], sheet.fitting(sheet.without_affixes(found.channels), room - 0.1))
     else:
         ax.set_xlim(times[0], times[-1])
     if np.isnan(shown).all():
@@ -135,4 +135,4 @@ def _worst(ax: Axes, across: Array, values: Array, high: bool) -> None:
     at, (low, top) = across[i, j], (across.min(), across.max())
     ax.plot([at], [values[i, j]], marker="o", markersize=6, markerfacecolor="none", markeredgecolor=sheet.BAD, markeredgewidth=1.2)
     right = top > low and at - low > 0.8 * (top - low)
-    sheet.note(ax, sheet.written(values[i, j]), (at, values[i, j]), color=sheet.BAD, ha="right" if right else "left", shift=(-6 if right else 6, 4))
+    sheet.free_note(ax, sheet.written(values[i, j]), (at, values[i, j]), color=sheet.BAD, ha="right" if right else "left", up=9)

@@ -84,7 +84,7 @@ def traces(
 
 
 def _draw(ax: Axes, time: np.ndarray, panel: Panel, names: Sequence[str], first: int) -> None:
-    values, labels = np.asarray(panel.values, float), sheet.without_prefix(names)
+    values, labels = np.asarray(panel.values, float), sheet.without_affixes(names)
     values = values[:, None] if values.ndim == 1 else values
     for j in range(values.shape[1]):
         ax.plot(time, values[:, j], color=sheet.colour(first + j), linewidth=1.2, label=labels[j] if j < len(labels) else "_")

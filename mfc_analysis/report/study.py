@@ -120,7 +120,7 @@ def ranges_section(found: LoopCheck) -> Section:
     finding = f"The worst of {found.cases} cases is {case}: {worst.label} ({worst.place or 'everywhere'})."
     numbers = {"cases": found.cases, "worst": {line.name: {"found": line.found, "case": said} for line, said in found.lines}}
     shown = checks(lines)
-    return Section(f"{found.loop.name}: parameter ranges", finding, (table,), shown, numbers, loop=f"{found.loop.name}, over its ranges")
+    return Section(f"{found.loop.name}: parameter ranges", finding, (table,), shown, numbers=numbers, loop=f"{found.loop.name}, over its ranges")
 
 
 def _found(line: Line) -> str:
@@ -200,9 +200,9 @@ def tuned_section(name: str, found: Tuned, *, many: bool) -> Section:
     return Section(f"{name}: tuned gains" if many else "Tuned gains", finding, blocks, numbers={"gains": found.gains, "met": found.met})
 
 
-def chapter(out: str | os.PathLike[str], formats: Sequence[str], progress: Progress) -> tuple[Path, ...]:
-    """Writes the report of the whole chapter into ``out``."""
+def chapter(out: str | os.PathLike[str], formats: Sequence[str], progress: Progress, *, full: bool = False) -> tuple[Path, ...]:
+    """Writes the report of the whole chapter into ``out``; ``full``: a page for each arm and misprint, and all pictures."""
     from mfc_analysis.report.chapter.chapter import write_chapter
 
-    files = write_chapter(out, formats or ("html", "pdf", "json"), lambda some, of: progress("the chapter", some, of))
+    files = write_chapter(out, formats or ("html", "pdf", "json"), lambda some, of: progress("the chapter", some, of), full=full)
     return tuple(files.values())

@@ -74,7 +74,7 @@ def record(asserted: Asserted, test: str, number: int) -> Record:
             number,
             asserted.what,
             str(asserted.loop),
-            checks(found.lines),
+            checks(found.lines, loop=asserted.loop),
             asserted.passed,
             (),
             asserted.replay,
@@ -98,8 +98,8 @@ def record(asserted: Asserted, test: str, number: int) -> Record:
     late = bool(lin.delay or lin.force_delay)
     poles = np.array((evidence.roots[0] if late else lin.poles())[i][:POLES])
     return Record(
-        test, number, asserted.what, str(asserted.loop), checks(found.lines), asserted.passed, verdict.notes, asserted.replay, verdict.at,
-        np.array(verdict.times), asked, margins, poles[np.isfinite(poles)], late, {},
+        test, number, asserted.what, str(asserted.loop), checks(found.lines, loop=asserted.loop), asserted.passed, verdict.notes, asserted.replay,
+        verdict.at, np.array(verdict.times), asked, margins, poles[np.isfinite(poles)], late, {},
     )  # fmt: skip
 
 
@@ -142,7 +142,7 @@ def _section(r: Record, name: str) -> Section:
     numbers: dict[str, Any] = {"test": r.test, "assertion": r.what, "passed": r.passed, "outcome": r.outcome, "times": r.times, "at": r.at}
     numbers |= {"asked": dict(r.asked), **r.numbers} | _numbers(r.margins)
     return Section(
-        name, _finding(r), tuple(body), r.checks, numbers, loop=name, shown="" if r.passed or unexpected else "the test expects this failure"
+        name, _finding(r), tuple(body), r.checks, numbers=numbers, loop=name, shown="" if r.passed or unexpected else "the test expects this failure"
     )
 
 

@@ -269,15 +269,17 @@ def test_the_chapter_is_written_into_the_folder_in_the_formats_asked_for(tmp_pat
 
     seen = []
 
-    def write_chapter(folder, formats, progress):
-        seen.append((folder, formats))
+    def write_chapter(folder, formats, progress, full):
+        seen.append((folder, formats, full))
         return {"json": folder / "chapter.json"}
 
     monkeypatch.setattr(chapter, "write_chapter", write_chapter)
     done = run("report", "--out", tmp_path / "o", "--format", "json")
     assert done.exit_code == 0 and done.stdout.strip() == str(tmp_path / "o" / "chapter.json")
-    assert run("report", "--out", tmp_path / "o").exit_code == 0
-    assert seen == [(tmp_path / "o", ("json",)), (tmp_path / "o", ("html", "pdf", "json"))]
+    assert run("report", "--full", "--out", tmp_path / "o").exit_code == 0
+    assert seen == [(tmp_path / "o", ("json",), False), (tmp_path / "o", ("html", "pdf", "json"), True)]
+    refused = run("report", "some.toml", "--full")
+    assert refused.exit_code == 2 and "without a study" in refused.output and len(seen) == 2
 
 
 # --- gains, exercises, lists ---------------------------------------------------------------------------------------------

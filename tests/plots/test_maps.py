@@ -59,7 +59,7 @@ def test_what_is_not_known_counts_as_unstable():
 def test_simulated_points_are_marked_by_what_they_did():
     ax = drawn(slope(), points=((0.5, 1.0, True), (1.5, 2.0, False), (0.2, 0.1, True)))
     assert marks(ax, "o")[0].tolist() == [[0.5, 1.0], [0.2, 0.1]] and marks(ax, "X")[0].tolist() == [[1.5, 2.0]]
-    assert legend(ax) == ["simulated: settles", "simulated: diverges"] and legend(drawn(slope())) == []
+    assert legend(ax) == ["run settles", "run diverges"] and legend(drawn(slope())) == []
 
 
 @pytest.mark.parametrize("log", ["", "x", "y", "xy"])

@@ -25,5 +25,5 @@ def flat(sections: list[dict[str, Any]]) -> list[tuple[str, dict[str, Any]]]:
 
 
 def statuses(sections: dict[str, Any]) -> set[str]:
-    """The verdicts of all checks."""
-    return {c["status"] for s in sections.values() for c in s["checks"]}
+    """The verdicts of all requirements and proofs."""
+    return {c["status"] for s in sections.values() for c in (*s["checks"], *s["proofs"])}

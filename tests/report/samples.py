@@ -9,6 +9,7 @@ import numpy as np
 
 from mfc_analysis import plots
 from mfc_analysis.report.document.document import (
+    Badge,
     Callout,
     Column,
     Compare,
@@ -210,15 +211,15 @@ def one_loop(name: str, phase: float, asked: float = 45.0) -> Section:
     )
 
 
-def side(title: str, status: Status, source: str, phase: float, poles: np.ndarray) -> Side:
+def side(title: str, badge: Badge | None, source: str, phase: float, poles: np.ndarray) -> Side:
     facts = KeyFacts((Fact("Phase margin", Number(phase, "°", undefined="unstable")),))
     drawing = Figure(partial(plots.poles, poles), "Poles.", f"Pole map, {title}: rightmost pole {poles.max():.3g} per second.")
-    return Side(title, status, (Equation(source, f"9.10 {title}", "9.10"), facts, drawing))
+    return Side(title, badge, (Equation(source, f"9.10 {title}", "9.10"), facts, drawing))
 
 
 def misprint() -> Section:
-    printed = side("As printed", Status.FAIL, r"tau = hat(M) a + hat(h)(q_d, dot(q)_d)", float("nan"), np.array([0.4, -3.0]))
-    standard = side("Standard", Status.PASS, r"tau = hat(M) a + hat(h)(q, dot(q))", 62.0, np.array([-3.0, -5.0]))
+    printed = side("As printed", Badge.DEMO, r"tau = hat(M) a + hat(h)(q_d, dot(q)_d)", float("nan"), np.array([0.4, -3.0]))
+    standard = side("Standard", None, r"tau = hat(M) a + hat(h)(q, dot(q))", 62.0, np.array([-3.0, -5.0]))
     remark = Callout(Status.WATCH, "Read this", "The printed form is kept as form='printed'.")
     return Section("Effect of the misprint of 9.10", body=(Compare(printed, standard, "Every margin: the printed form is unstable."), remark))
 

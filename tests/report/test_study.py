@@ -55,9 +55,9 @@ def test_over_ranges_the_worst_case_is_that_of_the_longest_delay(tmp_path: Path)
 def test_a_longer_delay_fails_its_case_and_no_other(tmp_path: Path) -> None:
     assert phase(0.19) > 45.0 > phase(0.21)
     section, table = over(tmp_path, [0.0, 0.19])
-    assert section.status is Status.PASS
+    assert section.badge is Status.PASS
     section, table = over(tmp_path, [0.0, 0.21])
-    assert section.status is Status.FAIL and [row[1] for row in table.rows] == [Status.FAIL, Status.PASS]
+    assert section.badge is Status.FAIL and [row[1] for row in table.rows] == [Status.FAIL, Status.PASS]
 
 
 def test_of_many_cases_only_the_worst_are_shown_and_all_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -89,6 +89,19 @@ class Designs:
             return laws.InverseDynamics(self._scaled(equation, gains.pd(natural_frequency=arm.speed)))
         raise KeyError(equation)
 
+    def origins(self, equation: str, arm: Arm) -> tuple[tuple[str, str], ...]:
+        """(gain, where its value comes from); the name "" stands for all gains."""
+        w = f"{arm.speed:g} rad/s"
+        said = {
+            "9.2": "bandwidth of 4 rad/s: kp = 4",
+            "9.3": "double pole at −2 1/s: kp = 4, ki = kp²/4",
+            "9.4": "as in 9.3",
+            "9.8": f"gains.joint_pid on the diagonal of the inertia, natural frequency {w}",
+            "9.10": f"gains.pid: triple pole at −{w}: kp = 3w², ki = w³, kd = 3w",
+            "9.11": f"gains.pd: double pole at −{w}: kp = w², kd = 2w",
+        }.get(equation, "as given")
+        return (("", said + (", scaled" if self.scale.get(equation) else "")),)
+
     def _scaled(self, equation: str, found: Mapping[str, Any]) -> dict[str, Any]:
         factors = self.scale.get(equation, {})
         return {name: np.asarray(value) * factors.get(name, 1.0) for name, value in found.items()}

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mfc_analysis.plots.batch import in_two_processes
 from mfc_analysis.report.document.document import Column, Document, Number, Scope, Section, Table, written
+from mfc_analysis.report.loops.record import gains_section, setups_section
 from mfc_analysis.report.render.write import FORMATS, Progress, render
 
 ROOM = "mfc_analysis.report.chapter"
-#: the modules of the chapter, in order; each has ``sections() -> tuple[Section, ...]``
+#: the modules of the chapter, in order; each has ``sections(full=...) -> tuple[Section, ...]``
 PARTS = ("velocity", "joint_torque", "task", "constraints", "force", "hybrid", "stiffness", "hardware", "misprints", "errata")
+LONGEST_FIRST = ("joint_torque", "stiffness", "hardware", "task", "hybrid")  #: two processes share these better than in the order of the pages
 TOOL, FORCE = ("task",), ("constraints", "force", "hybrid", "stiffness")
 
 DELAYED = " (rightmost roots, dead time included)"
@@ -23,23 +28,31 @@ DELAYED = " (rightmost roots, dead time included)"
 Part = Callable[[], Iterable[Section]]
 
 
-def chapter_document(progress: Progress | None = None, parts: Sequence[Part] | None = None) -> Document:
+def chapter_document(progress: Progress | None = None, parts: Sequence[Part] | None = None, *, full: bool = False) -> Document:
     """The chapter as a document.
 
     Args:
         progress: called with (done, of how many) after each part.
         parts: callables that return sections; omitted: those of ``PARTS``.
+        full: a page for each arm and misprint, all pictures, and the poles of all loops.
     """
     from mfc_analysis.report.document.provenance import provenance
     from mfc_analysis.report.document.symbols import symbols
 
-    given = collected() if parts is None else tuple(parts)
-    sections: list[Section] = []
-    for k, found in enumerate(in_two_processes(given) if parts is None else (part() for part in given)):
-        sections += found
+    modules = collected()
+    if parts is None:
+        names = set(modules)
+        order = [name for name in LONGEST_FIRST if name in names] + [name for name in modules if name not in LONGEST_FIRST]
+        tasks: Iterable[Iterable[Section]] = in_two_processes([partial(modules[name], full=full) for name in order])
+    else:
+        names = {getattr(part, "__module__", "").rpartition(".")[2] for part in parts}
+        order, tasks = [str(k) for k in range(len(parts))], (part() for part in parts)
+    found: dict[str, Iterable[Section]] = {}
+    for name, some in zip(order, tasks, strict=True):
+        found[name] = some
         if progress is not None:
-            progress(k + 1, len(given))
-    names = {getattr(part, "__module__", "").rpartition(".")[2] for part in given}
+            progress(len(found), len(order))
+    sections = [section for name in (order if parts is not None else modules) for section in found[name]]
     tool, force = bool(names & set(TOOL)), bool(names & set(FORCE))
     settings = {"seed of the disturbed starts": 0, "tolerances of runs": "rtol 1e-6, atol 1e-9; comparison rtol 1e-10, atol 1e-12"}
     last = "9.24" if force else "9.16" if tool else "9.13"
@@ -50,18 +63,25 @@ def chapter_document(progress: Progress | None = None, parts: Sequence[Part] | N
         (*sections, *(() if overview is None else (overview,))),
         "chapter",
         _scope(),
-        provenance("mfc-analysis report", settings=settings),
+        provenance("mfc-analysis report --full" if full else "mfc-analysis report", settings=settings),
         symbols(tool=tool, force=force),
-        tuple(x for x in (all_poles(sections),) if x is not None),
+        (*setups_section(sections), *(x for x in (all_poles(sections) if full else None,) if x is not None)),
+        front=gains_section(sections),
     )
 
 
 def write_chapter(
-    folder: str | os.PathLike[str] = "out", formats: Sequence[str] = FORMATS, progress: Progress | None = None, *, timestamp: int = 0
+    folder: str | os.PathLike[str] = "out",
+    formats: Sequence[str] = FORMATS,
+    progress: Progress | None = None,
+    *,
+    timestamp: int = 0,
+    full: bool = False,
 ) -> dict[str, Path]:
     """Writes the chapter's report as ``folder/chapter.html``, ``.pdf`` and ``.json``; returns the path of each format.
 
-    ``progress``: called with (done, of how many): parts of the chapter first, then figures and formats. Raises BadArgument as ``render``.
+    ``full``: a page for each arm and misprint, and all pictures. ``progress``: called with (done, of how many): parts of the chapter first, then
+    figures and formats. Raises BadArgument as ``render``.
     """
     share = len(PARTS) * 8  # analysing takes about as long as drawing
 
@@ -73,18 +93,18 @@ def write_chapter(
         if progress is not None:
             progress(share + share * done // total, 2 * share)
 
-    return render(chapter_document(analysed), folder, formats, timestamp=timestamp, progress=drawn)
+    return render(chapter_document(analysed, full=full), folder, formats, timestamp=timestamp, progress=drawn)
 
 
-def collected() -> tuple[Part, ...]:
-    """The ``sections`` function of each available module of ``PARTS``."""
-    out = []
+def collected() -> dict[str, Callable[..., Iterable[Section]]]:
+    """The ``sections`` function of each available module of ``PARTS``, by its name."""
+    out = {}
     for name in PARTS:
         if find_spec(f"{ROOM}.{name}") is not None:
             part = getattr(import_module(f"{ROOM}.{name}"), "sections", None)
             if part is not None:
-                out.append(part)
-    return tuple(out)
+                out[name] = part
+    return out
 
 
 # --- over all loops ----------------------------------------------------------------------------------------------------------
@@ -109,7 +129,7 @@ def validity(sections: Iterable[Section]) -> Section | None:
         rows.append(
             (
                 section.loop,
-                Number(100 * float(found["nrmse"]), infinite="diverged", undefined="not compared"),
+                Number(0.0 if np.isinf(found["taylor_order"]) else 100 * float(found["nrmse"]), infinite="diverged", undefined="not compared"),
                 Number(radius, infinite="all tested sizes"),
                 Number(float(found["taylor_order"]), infinite="exact", undefined="not compared"),
             )

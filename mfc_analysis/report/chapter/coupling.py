@@ -67,7 +67,7 @@ def coupling_table(view: View) -> Table:
     alone, m = view.lin.decentralised().margins(), view.margins
     gain = _gain_along(view)
     rows: list[tuple[Cell, ...]] = []
-    for j, name in enumerate(m.channels):
+    for j, name in enumerate(plots.without_affixes(m.channels)):
         with np.errstate(divide="ignore"):
             low = [float(decibels(x.gain_reduction[:, j]).max()) for x in (alone, m)]
         rows.append(

@@ -15,9 +15,11 @@ from mfc_analysis.maths.se3 import inverse as inverse_pose, log6
 from mfc_analysis.report.chapter.constraints import invariance_section
 from mfc_analysis.report.chapter.force import POSE, arm, tiny
 from mfc_analysis.report.chapter.hybrid import KP, NORMAL, hybrid_loop
+from mfc_analysis.report.chapter.misprints import costs_table, folded
 from mfc_analysis.report.chapter.pieces import LYNCH, at_most, in_words, slowest, verdict_of
 from mfc_analysis.report.chapter.task import GAINS, SLOW, apply, followed, path
 from mfc_analysis.report.document.document import (
+    Badge,
     Column,
     Compare,
     Equation,
@@ -39,19 +41,27 @@ from mfc_analysis.trajectories import ToolHold
 SOURCES = (LYNCH, "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 8-9")
 
 
-def sections() -> tuple[Section, ...]:
-    """The misprints in tool space, force and hybrid control, and minor errors in the text."""
+def sections(*, full: bool = True) -> tuple[Section, ...]:
+    """The misprints in tool space, force and hybrid control, and minor errors in the text; not ``full``: a table of what each costs."""
     inner = (logarithm_section(), adjoint_section(), kinematics_section(), task_torque_section(), reciprocity_section(), hybrid_section())
-    lost = [s.title for s in inner for b in s.body if isinstance(b, Compare) and b.left.status is Status.FAIL]
+    lost = [s.title for s in inner for b in s.body if isinstance(b, Compare) and b.left.note == "not stable"]
     verdict = f"{', '.join(lost)} makes a stable loop unstable" if lost else "none makes a stable loop unstable"
     finding = f"Of {len(inner)} misprints in tool space and contact, {verdict}. Each section gives the effect in numbers."
     title = "Effect of the misprints in tool space and contact"
-    return (Section(title, finding, sections=inner, sources=SOURCES, key="misprints-tool"), slips_section())
+    shown = "the equations as printed"
+    if full:
+        return (Section(title, finding, sections=inner, sources=SOURCES, key="misprints-tool", shown=shown), slips_section())
+    body = (costs_table(inner),)
+    return (Section(title, finding, body, sections=folded(inner), sources=SOURCES, key="misprints-tool", shown=shown, folded=True), slips_section())
 
 
 def two(left: tuple[str, Status, tuple[Any, ...]], right: tuple[str, Status, tuple[Any, ...]], cost: str) -> Compare:
     """Printed and standard form side by side."""
-    return Compare(Side(*left), Side(*right), cost)
+
+    def side(badge: Badge | None, title: str, status: Status, body: tuple[Any, ...]) -> Side:
+        return Side(title, badge, body, "not stable" if status is Status.FAIL else "")
+
+    return Compare(side(Badge.DEMO, *left), side(None, *right), cost)
 
 
 def facts(*pairs: tuple[str, Number | str]) -> KeyFacts:
@@ -111,14 +121,15 @@ def logarithm_section() -> Section:
             ".",
         )
     )
-    checks = (at_most("deviation from theory", 1e-4, 100 * away / start, "%", "9.5 as printed"),)
+    proofs = (at_most("deviation from theory", 1e-4, 100 * away / start, "%", "9.5 as printed"),)
     return Section(
         "9.5: the difference of two poses",
         cost,
         (compare, figure, more),
-        checks,
+        (),
         {"time_to_1_percent": took, "departure": away},
         SOURCES,
+        proofs=proofs,
         key="misprint-9.5",
     )
 
@@ -164,9 +175,11 @@ def adjoint_section() -> Section:
         ),
         cost,
     )
-    checks = (at_most("deviation from theory", 0.1, 100 * abs(turn / speed - 1), "%", "imaginary part = angular speed"),)
+    proofs = (at_most("deviation from theory", 0.1, 100 * abs(turn / speed - 1), "%", "imaginary part = angular speed"),)
     numbers = {"position_error_mm": sideways, "imaginary": turn, "angular_speed": speed, "exponent": {f: g for f, (_, _, g) in found.items()}}
-    return Section("9.5 without the adjoint: a common error", cost, (compare, figure), checks, numbers, SOURCES, key="misprint-9.5-adjoint")
+    return Section(
+        "9.5 without the adjoint: a common error", cost, (compare, figure), (), numbers, SOURCES, proofs=proofs, key="misprint-9.5-adjoint"
+    )
 
 
 # --- 9.14 to 9.17 ------------------------------------------------------------------------------------------------
@@ -220,8 +233,8 @@ def task_torque_section() -> Section:
     a, b = found["printed"], found["standard"]
     cost = (
         f"On the moving path the poles of the printed form differ from the design by up to {written(a['away'])} 1/s (standard: "
-        f"{written(b['away'], 2)}), "
-        f"and a rotation error of 0.3 rad moves the tool by {written(a['sideways'])} mm instead of {written(b['sideways'])}. "
+        f"{written(tiny(b['away']), 2)}), and a rotation error of 0.3 rad moves the tool by {written(a['sideways'])} mm instead of "
+        f"{written(b['sideways'])}. "
         "At rest both forms have the same poles."
     )
     shown = {
@@ -247,8 +260,8 @@ def reciprocity_section() -> Section:
     n = invariance_section().numbers
     same, other = float(n["change_of_work"]), float(n["change_of_twist_product"])
     cost = (
-        f"As vectors of one space, their product changes by {written(other)} under a change of frame; as twist and wrench it changes "
-        f"by {written(same, 2)}. 9.18 also lacks its right-hand side, 0."
+        f"As vectors of one space, their product changes by {written(other)} under a change of frame; as twist and wrench it does not "
+        "change. 9.18 also lacks its right-hand side, 0."
     )
     compare = two(
         (
@@ -337,14 +350,14 @@ def hybrid_section() -> Section:
         ),
         Table("The three forms under PD on a wall of 10 kN/m.", columns, rows),
     )
-    checks = (at_most("balance at rest, P Λ Kp X_e = P (η + F_tip)", 1e-6, max(x.balance for x in found.values()), "N"),)
+    proofs = (at_most("balance at rest, P Λ Kp X_e = P (η + F_tip)", 1e-6, max(x.balance for x in found.values()), "N"),)
     numbers = {
         "off_mm": mm,
         "turned_mrad": mrad,
         "balance": {f: x.balance for f, x in found.items()},
         "error": {f: x.error for f, x in found.items()},
     }
-    return Section("9.24: the bias term in the wrong subspace", cost, body, checks, numbers, SOURCES, key="misprint-9.24")
+    return Section("9.24: the bias term in the wrong subspace", cost, body, (), numbers, SOURCES, proofs=proofs, key="misprint-9.24")
 
 
 # --- the text ----------------------------------------------------------------------------------------------------
@@ -385,11 +398,11 @@ def slips_section() -> Section:
             ("Coriolis torque at twice the speed", Number(coupled["quadratic"], "times")),
         ),
     )
-    checks = (
+    proofs = (
         at_most("off-diagonal of M of the RP arm", 1e-12, coupled["mass"], "kg m"),
         at_most("deviation from theory", 1e-9, 25 * abs(coupled["quadratic"] - 4), "%", "C q' is quadratic"),
     )
-    return Section("Minor errors in the text", finding, body, checks, coupled, SOURCES, key="slips")
+    return Section("Minor errors in the text", finding, body, (), coupled, SOURCES, proofs=proofs, key="slips")
 
 
 def _coupled_by_gravity() -> dict[str, float]:

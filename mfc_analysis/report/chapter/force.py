@@ -16,7 +16,6 @@ from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.pieces import agreement, at_most, in_words, pole_map, poles_table, response, validated
 from mfc_analysis.report.chapter.smallest_margins import force_checks, force_facts, least, margin_numbers, tightest
 from mfc_analysis.report.document.document import (
-    Callout,
     Cell,
     Column,
     Equation,
@@ -29,7 +28,7 @@ from mfc_analysis.report.document.document import (
     Text,
     written,
 )
-from mfc_analysis.requirements.line import Status
+from mfc_analysis.report.loops.record import KEY, record
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import Hold
 
@@ -39,6 +38,7 @@ KFP, KFI, KDAMP, MASS = 1.0, 5.0, 60.0, 1.0  #: of the slider: [-], [1/s], [Ns/m
 ARM_DAMPING = np.array([200.0, 200.0, 200.0, 4.0, 4.0, 4.0])  #: of the arm: [Ns/m, Nms/rad]
 GRIP = np.array([2000.0, 2000.0, 50.0, 50.0, 20.0])  #: [N/m, Nm/rad] stiffness of a sticking rubber tip in x, y, rx, ry, rz
 G = 9.81
+CHOSEN = (("F_d", "the force asked for"), ("kfp", "chosen: half of the force error is left without the integral"), ("", "chosen"))
 SOURCES = ("Lynch & Park, Modern Robotics, ch. 11.5", "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 9")
 
 
@@ -69,9 +69,9 @@ def arm() -> Robot:
     return robots.ur5()
 
 
-def sections() -> tuple[Section, ...]:
-    """Sections of 9.19-9.23 for the chapter report."""
-    return (contact_section(), payload_section(), free_space_section(), slider_section(), arm_section())
+def sections(*, full: bool = True) -> tuple[Section, ...]:
+    """Sections of 9.19-9.23 for the chapter report; not ``full``: without pictures that repeat what others show."""
+    return (contact_section(), payload_section(), free_space_section(), slider_section(full), arm_section(full))
 
 
 # --- 9.19 and 9.20 -----------------------------------------------------------------------------------------------
@@ -164,12 +164,12 @@ def payload_section() -> Section:
         ),
         Table("Steady-state force error for an unknown payload.", columns, rows),
     )
-    checks = (
+    proofs = (
         agreement("force error at rest, 3 kg", float(errors["9.21"][-1]), float(closed[-1]), 1e-6),
         agreement("force error by 9.20, 3 kg", float(slow[-1]), float(closed[-1]), 1e-6),
     )
     numbers = {"payload": masses, "closed_form": closed, "quasi_static": slow, "errors": errors}
-    return Section("Open-loop force and an unknown payload: 9.21", finding, body, checks, numbers, SOURCES, key="payload")
+    return Section("Open-loop force and an unknown payload: 9.21", finding, body, (), numbers, SOURCES, proofs=proofs, key="payload")
 
 
 def tiny(value: float, floor: float = 1e-6) -> float:
@@ -247,13 +247,8 @@ def free_space_section() -> Section:
         Equation('dot(v) -> (k_"fi" F_d)/(k_"damp" + b)', "the remaining acceleration under 9.23", "9.23"),
         Table("Force laws in free space.", columns, rows),
         figure,
-        Callout(
-            Status.INFO,
-            "What this shows",
-            "This section demonstrates the chapter's warning. Do not use these loops in free space. Only the closed forms are checked.",
-        ),
     )
-    checks = (
+    proofs = (
         agreement("9.22, speed after 1 s", float(a.speed[-1]), a.end, 0.1),
         agreement("9.23, ramp of the speed", b.acceleration, b.expected, 0.1),
     )
@@ -263,16 +258,18 @@ def free_space_section() -> Section:
         "closed_form": {r.name: r.expected for r in runs},
         "drifts": dict(zip((r.name for r in runs), drifts, strict=True)),
     }
-    return Section("Free space: 9.22 and 9.23", finding, body, checks, numbers, SOURCES, key="free-space")
+    shown = "the chapter's warning: do not use these loops in free space"
+    return Section("Free space: 9.22 and 9.23", finding, body, (), numbers, SOURCES, proofs=proofs, key="free-space", shown=shown)
 
 
 # --- in contact --------------------------------------------------------------------------------------------------
 
 
-def slider_section() -> Section:
+def slider_section(full: bool = True) -> Section:
     """The one-mass force loop on a spring with a torque lag: poles, polynomial, margins."""
     lag, k = 2e-3, 2e3
-    lin = slider_loop(k, hardware=Hardware(torque_lag=lag)).linearize()
+    loop = slider_loop(k, hardware=Hardware(torque_lag=lag))
+    lin = loop.linearize()
     p = lin.poles()[0]
     wanted = np.array([MASS * lag, MASS, KDAMP + k * lag, k * (1 + KFP), k * KFI]) / (MASS * lag)
     found = np.poly(p[np.abs(p) > 0]).real
@@ -285,15 +282,17 @@ def slider_section() -> Section:
             "9.23",
         ),
         force_facts(lin),
-        response(lin, "force", 2, "slider, 9.23", span=(0.1, 3e3)),
-        pole_map(p, "slider, 9.23"),
+        *((response(lin, "force", 2, "slider, 9.23", span=(0.1, 3e3)), pole_map(p, "slider, 9.23")) if full else ()),
     )
-    checks = (*force_checks(lin, 45.0, 6.0, 2.0), at_most("deviation from theory", 1e-6, 100 * away, "%", "characteristic polynomial"))
-    numbers = {"polynomial": found * MASS * lag, "closed_form": wanted * MASS * lag, "poles": p, **margin_numbers(lin)}
-    return Section("One mass pressing on a spring: 9.23", finding, body, checks, numbers, SOURCES, loop="9.23 force PI, slider", key="slider-force")
+    checks = force_checks(lin, 45.0, 6.0, 2.0)
+    proofs = (at_most("deviation from theory", 1e-6, 100 * away, "%", "characteristic polynomial"),)
+    numbers = {KEY: record(loop, at="force"), "polynomial": found * MASS * lag, "closed_form": wanted * MASS * lag, "poles": p, **margin_numbers(lin)}
+    name = "9.23 force PI, slider"
+    title = "One mass pressing on a spring: 9.23"
+    return Section(title, finding, body, checks, numbers, SOURCES, proofs=proofs, loop=name, key="slider-force", origins=CHOSEN)
 
 
-def arm_section() -> Section:
+def arm_section(full: bool = True) -> Section:
     """The UR5 under 9.21, 9.22 and 9.23 in contact: margins at the force sensor and at the torques."""
     lag = 2e-3
     by_name = {
@@ -301,7 +300,8 @@ def arm_section() -> Section:
         "9.22": laws.ForcePI(20 * Z, KFP * Z, KFI * Z),
         "9.23": laws.DampedForcePI(20 * Z, KFP * Z, KFI * Z, ARM_DAMPING),
     }
-    lins = {name: arm_loop(1e4, law, hardware=Hardware(torque_lag=lag)).linearize() for name, law in by_name.items()}
+    loops = {name: arm_loop(1e4, law, hardware=Hardware(torque_lag=lag)) for name, law in by_name.items()}
+    lins = {name: loop.linearize() for name, loop in loops.items()}
     rows = []
     for name, lin in lins.items():
         phase, delay = (least(lin)[metric] for metric in ("phase_deg", "delay"))
@@ -331,13 +331,14 @@ def arm_section() -> Section:
     )
     body = (
         Equation(laws.DampedForcePI.typst, "damped PI force control", "9.23"),
-        force_facts(lin),
+        *((force_facts(lin),) if full else ()),
         Table("A UR5 pressing with 20 N on a surface of 10 kN/m, torque lag 2 ms: smallest margins over all analysis points.", columns, tuple(rows)),
-        response(lin, "force", 2, "UR5, 9.23, fz", span=(0.1, 3e3)),
+        *((response(lin, "force", 2, "UR5, 9.23, fz", span=(0.1, 3e3)),) if full else ()),
         response(lin, "torque", j, f"UR5, 9.23, {t.channels[j]}", span=(0.1, 3e3)),
-        poles_table([(name, x.poles()[0]) for name, x in lins.items()], 5, "The slowest closed-loop poles that are not slow roots."),
+        *((poles_table([(name, x.poles()[0]) for name, x in lins.items()], 5, "The slowest closed-loop poles that are not slow."),) if full else ()),
     )
     numbers = {
+        KEY: record(loops["9.23"], at="torque"),
         "verdicts": {name: row[1] for name, row in zip(lins, rows, strict=True)},
         **margin_numbers(lin),
         "torque_phase_deg": t.phase_deg[0],
@@ -353,4 +354,5 @@ def arm_section() -> Section:
         SOURCES,
         loop="9.23 force PI, UR5",
         key="arm-force",
+        origins=CHOSEN,
     )

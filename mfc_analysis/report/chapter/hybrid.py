@@ -16,11 +16,12 @@ from mfc_analysis.laws.constraints import projection
 from mfc_analysis.linearization.coupling import coupling, leak
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.report.chapter.force import KFI, KFP, POSE, Z, arm, tiny
+from mfc_analysis.report.chapter.force import CHOSEN, KFI, KFP, POSE, Z, arm, tiny
 from mfc_analysis.report.chapter.pieces import agreement, at_most, in_words, response, validated
 from mfc_analysis.report.chapter.smallest_margins import force_checks, least, margin_numbers, tightest
 from mfc_analysis.report.document.document import Block, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, written
 from mfc_analysis.report.loops.points import smallest
+from mfc_analysis.report.loops.record import KEY, record
 from mfc_analysis.robots.robot import Robot
 from mfc_analysis.trajectories import ToolHold, ToolSinusoid
 
@@ -31,8 +32,8 @@ FREE = ("X_e_vx", "X_e_vy")
 SOURCES = ("Lynch & Park, Modern Robotics, ch. 11.6", "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 9.4")
 
 
-def sections() -> tuple[Section, ...]:
-    """Sections of 9.24 for the chapter report."""
+def sections(*, full: bool = True) -> tuple[Section, ...]:
+    """Sections of 9.24 for the chapter report, the same whether ``full`` or not."""
     return (margins_section(), damping_section(), coupling_section(), leak_section())
 
 
@@ -71,7 +72,8 @@ def turned(degrees: float, shift: float = 0.0) -> Array:
 def margins_section() -> Section:
     """Margins of both loops with both projections, torque lag 2 ms."""
     lag = Hardware(torque_lag=2e-3)
-    lins = {p: hybrid_loop(p, hardware=lag).linearize() for p in PROJECTORS}
+    loops = {p: hybrid_loop(p, hardware=lag) for p in PROJECTORS}
+    lins = {p: loop.linearize() for p, loop in loops.items()}
     rows = []
     for name, lin in lins.items():
         for m in (lin.margins(point) for point in lin.opened.points):
@@ -107,13 +109,16 @@ def margins_section() -> Section:
     )
     checks = force_checks(lin, 45.0, 6.0, 2.0)
     numbers = {
+        KEY: record(loops["dynamic"], at="torque"),
         **margin_numbers(lin),
         "smallest_selection": {name: asdict(found) for name, found in least(lins["selection"]).items()},
         "motion_phase_deg": c.phase_deg[0],
         "poles": lin.poles()[0],
         "validation": validated(hybrid_loop(), 0.05),
     }
-    return Section("Hybrid motion and force control: 9.24", finding, body, checks, numbers, SOURCES, loop="9.24 hybrid, UR5", key="hybrid")
+    title = "Hybrid motion and force control: 9.24"
+    origins = (("kp", "double pole at −10 1/s: kp = w², kd = 2w"), ("kd", "double pole at −10 1/s"), *CHOSEN)
+    return Section(title, finding, body, checks, numbers, SOURCES, loop="9.24 hybrid, UR5", key="hybrid", origins=origins)
 
 
 def damping_section() -> Section:
@@ -157,10 +162,12 @@ def damping_section() -> Section:
         "Force directions without damping: 9.24",
         finding,
         body,
-        (agreement("growth on a stiff wall", float(bare[-1]), limit, 0.1),),
+        (),
         numbers,
         SOURCES,
+        proofs=(agreement("growth on a stiff wall", float(bare[-1]), limit, 0.1),),
         key="hybrid-damping",
+        shown="the force directions as printed have no damping",
     )
 
 
@@ -210,7 +217,7 @@ def coupling_section() -> Section:
     w, found = cases()
     exact, heavy, tilt, plain = found["exact"], found["2 kg unknown"], found["wall turned 5°"], found["selection"]
     finding = (
-        f"With an exact model, the dynamic projection decouples the force from the motion ({written(float(exact.motion_to_force.max()), 2)} N/m). "
+        "With an exact model, the dynamic projection decouples the force from the motion. "
         f"The coupling is {written(float(heavy.motion_to_force.max()))} N/m with an unknown payload of 2 kg, "
         f"{written(float(tilt.motion_to_force.max()))} N/m with a wall turned by 5°, and {written(float(plain.motion_to_force.max()))} N/m "
         "with the selection projection and an exact model."
@@ -220,7 +227,7 @@ def coupling_section() -> Section:
         Column("force error while sliding", "N"), Column("tracking error", "mm"), Column("verdict", numeric=False),
     )  # fmt: skip
     rows = tuple(
-        (name, Number(float(c.motion_to_force.max()), digits=2), Number(1e3 * float(c.force_to_motion.max()), digits=2),
+        (name, Number(tiny(float(c.motion_to_force.max())), digits=2), Number(1e3 * float(c.force_to_motion.max()), digits=2),
          Number(c.force_error, digits=2), Number(1e3 * c.tracking, digits=2), in_words(c.stable))
         for name, c in found.items()
     )  # fmt: skip
@@ -241,8 +248,10 @@ def coupling_section() -> Section:
         name: {"motion_to_force": c.motion_to_force, "force_to_motion": c.force_to_motion, "force_error": c.force_error, "tracking": c.tracking}
         for name, c in found.items()
     }
-    checks = (at_most("motion-to-force coupling, exact model", 1e-6, float(exact.motion_to_force.max()), "N/m", "dynamic projection"),)
-    return Section("Coupling of motion and force: 9.24", finding, body, checks, {"frequencies": w, **numbers}, SOURCES, key="hybrid-coupling")
+    proofs = (at_most("motion-to-force coupling, exact model", 1e-6, float(exact.motion_to_force.max()), "N/m", "dynamic projection"),)
+    return Section(
+        "Coupling of motion and force: 9.24", finding, body, (), {"frequencies": w, **numbers}, SOURCES, proofs=proofs, key="hybrid-coupling"
+    )
 
 
 def leak_section() -> Section:
@@ -278,6 +287,6 @@ def leak_section() -> Section:
     )
     left = projection(NORMAL, Lambda) @ (Lambda @ (KP * along) - rest.force)
     body += (Paragraph("The remaining difference is due to the wall force, whose direction changes relative to the turned tool."),)
-    checks = (at_most("balance at rest, P (Λ Kp X_e − F_tip)", 1e-8, float(np.abs(left).max()), "N"),)
+    proofs = (at_most("balance at rest, P (Λ Kp X_e − F_tip)", 1e-8, float(np.abs(left).max()), "N"),)
     numbers = {"leak": leaks, "at_rest": along, "predicted": predicted}
-    return Section("Leak of a normal error into the free directions: 9.24", finding, body, checks, numbers, SOURCES, key="hybrid-leak")
+    return Section("Leak of a normal error into the free directions: 9.24", finding, body, (), numbers, SOURCES, proofs=proofs, key="hybrid-leak")

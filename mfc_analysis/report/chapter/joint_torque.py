@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.arms import PAYLOAD, Arm, Designs, arms, decibels, per_joint, triple_pole
 from mfc_analysis.report.chapter.coupling import coupling_figures, coupling_numbers, coupling_table, coupling_words, price
 from mfc_analysis.report.chapter.pages import loop_page
+from mfc_analysis.report.chapter.pieces import at_most
 from mfc_analysis.report.document.document import (
     Block,
     Cell,
@@ -36,26 +38,38 @@ OFFSET, LONG = 0.05, 3.0  #: [rad] initial error; [s] of an open-loop run: the p
 SIDES = (0.9, 1.1)  #: fractions of the lower gain limit that are simulated
 
 
-def sections(designs: Designs | None = None) -> tuple[Section, ...]:
-    """The sections of 9.8 to 9.13."""
+def sections(designs: Designs | None = None, *, full: bool = True) -> tuple[Section, ...]:
+    """The sections of 9.8 to 9.13; not ``full``: the arms of an equation share a page, and the figures are those of the UR5."""
     given = designs or Designs()
-    return (independent(given), open_loop(given), computed_torque(given), conditional(given), inverse_dynamics(given))
+    return tuple(part(given, full) for part in (independent, open_loop, computed_torque, conditional, inverse_dynamics))
+
+
+def shared(pages: list[Section], body: tuple[Block, ...], full: bool) -> dict[str, Any]:
+    """Body, loops and folding of a section whose arms have a page each, or share one: then with the figures and tables of the last arm."""
+    if full:
+        return {"body": body, "sections": tuple(pages)}
+    return {"body": (*body, *pages[-1].body), "sections": tuple(replace(page, body=()) for page in pages), "folded": True}
 
 
 # --- 9.8 -------------------------------------------------------------------------------------------------------------------
 
 
-def independent(designs: Designs) -> Section:
+def independent(designs: Designs, full: bool = True) -> Section:
     """9.8: the decentralised design and the coupled arm, and the effect of the coupling on each margin."""
     views = [(arm, designs.view("9.8", arm)) for arm in arms()]
     pages = []
     for arm, view in views:
-        after = (coupling_table(view), *coupling_figures(view)) if arm.robot.n > 1 else (limit_of_ki(view),)
+        after: tuple[Block, ...] = ()
+        if full or last(arm):
+            after = (coupling_table(view), *(coupling_figures(view) if full else ())) if arm.robot.n > 1 else (limit_of_ki(view),)
         pages.append(
             loop_page(
                 view,
                 arm.name,
                 path=arm.robot.n > 1,
+                brief=not (full or last(arm)),
+                compare=full or last(arm),
+                origins=designs.origins("9.8", arm),
                 finding=coupling_words(view) if arm.robot.n > 1 else "",
                 after=after,
                 more=coupling_numbers(view),
@@ -64,7 +78,13 @@ def independent(designs: Designs) -> Section:
     costs = [f"{arm.name}: {price(view)}" for arm, view in views if arm.robot.n > 1]
     finding = ("The gains are designed joint by joint on ", Math("M_(j j)"), f", without the coupling. Effect of the coupling: {'; '.join(costs)}.")
     equation = Equation(designs.law("9.8", arms()[0]).typst, "independent joint PID control", "9.8")
-    return Section("9.8 Independent joint PID", finding, (equation,), sections=tuple(pages), key="eq-9-8")
+    first = () if full else (limit_of_ki(views[0][1]),)
+    return Section("9.8 Independent joint PID", finding, key="eq-9-8", **shared(pages, (equation, *first), full))
+
+
+def last(arm: Arm) -> bool:
+    """Whether it is the arm whose figures a shared page has."""
+    return arm is arms()[-1]
 
 
 def limit_of_ki(view: View) -> Block:
@@ -89,7 +109,7 @@ def limit_of_ki(view: View) -> Block:
 # --- 9.9 -------------------------------------------------------------------------------------------------------------------
 
 
-def open_loop(designs: Designs) -> Section:
+def open_loop(designs: Designs, full: bool = True) -> Section:
     """9.9: feedforward only; the poles are those of the plant."""
     pages, rows = [], []
     for arm in arms():
@@ -140,7 +160,8 @@ def open_loop(designs: Designs) -> Section:
                 frequency=False,
                 compare=False,
                 finding=said,
-                after=(figure,),
+                after=(figure,) if full or arm is arms()[1] else (),
+                origins=designs.origins("9.9", arm),
                 more={"rightmost": right, "error_off_path": grown, "error_on_path": own},
             )
         )
@@ -154,48 +175,58 @@ def open_loop(designs: Designs) -> Section:
     )
     table = Table(f"Feedforward only, {LONG:g} s: along the path, then at rest at its end.", columns, tuple(rows))
     equation = Equation(designs.law("9.9", arms()[0]).typst, "feedforward torque", "9.9")
-    finding = (
-        "There is no feedback: the poles are those of the arm, and the error grows where gravity destabilises a link. These loops are for "
-        "demonstration; their failed checks do not count in the verdict of the report."
-    )
-    return Section("9.9 Torque feedforward: open loop", finding, (equation, table), sections=tuple(pages), key="eq-9-9")
+    finding = "There is no feedback: the poles are those of the arm, and the error grows where gravity destabilises a link."
+    if full:
+        return Section("9.9 Torque feedforward: open loop", finding, (equation, table), sections=tuple(pages), key="eq-9-9")
+    body: tuple[Block, ...] = (equation, table, *(b for b in pages[1].body if isinstance(b, Figure)))
+    inner = tuple(replace(page, body=()) for page in pages)
+    return Section("9.9 Torque feedforward: open loop", finding, body, sections=inner, key="eq-9-9", folded=True)
 
 
 # --- 9.10 and 9.12 ---------------------------------------------------------------------------------------------------------
 
 
-def computed_torque(designs: Designs) -> Section:
+def computed_torque(designs: Designs, full: bool = True) -> Section:
     """9.10 and 9.12: exact and wrong model; the loop opened at the torque and at the command."""
-    pages = []
+    pages, views = [], []
     for arm in arms():
         view = designs.view("9.10", arm)
+        views.append(view)
         wide = arm.robot.n > 1
         pages.append(
             loop_page(
                 view,
                 arm.name,
-                path=wide,
+                path=wide and full,
                 moving=not arm.exact,
                 after=(*two_points(view), *(() if arm.exact else wrong_model(designs, arm, view))),
+                brief=not (full or last(arm)),
+                compare=full or last(arm),
+                origins=designs.origins("9.10", arm),
                 more=_points_numbers(view),
             )
         )
     equation = Equation(designs.law("9.10", arms()[0]).typst, "computed torque control", "9.10, 9.12")
     polynomial = Equation("e^((3)) + K_d dot.double(e) + K_p dot(e) + K_i e = 0", "error dynamics with an exact model")
-    return Section("9.10 and 9.12 Computed torque with PID", _exactness(designs), (equation, polynomial), sections=tuple(pages), key="eq-9-10")
+    away = max(off_design(designs, arm) for arm in arms() if arm.exact)
+    proofs = (at_most("characteristic polynomial = design polynomial", 1e-6, away, "", "9.10, exact model"),)
+    finding = _exactness(views[-1])
+    return Section("9.10 and 9.12 Computed torque with PID", finding, proofs=proofs, key="eq-9-10", **shared(pages, (equation, polynomial), full))
 
 
-def _exactness(designs: Designs) -> str:
-    """Deviation of the exact loops from the design polynomial, and the effect of the unknown payload."""
-    off = []
-    for arm in (a for a in arms() if a.exact):
-        lin = designs.loop("9.10", arm).linearize(arm.times)
-        off.append(float(np.abs(characteristic(lin.A) - design_polynomial(designs, arm)).max() / np.abs(design_polynomial(designs, arm)).max()))
+def off_design(designs: Designs, arm: Arm) -> float:
+    """Deviation of the characteristic polynomial along the path from the design polynomial, relative to its largest coefficient."""
+    wanted = design_polynomial(designs, arm)
+    return float(np.abs(characteristic(designs.loop("9.10", arm).linearize(arm.times).A) - wanted).max() / np.abs(wanted).max())
+
+
+def _exactness(view: View) -> str:
+    """The design with an exact model, and the effect of the unknown payload."""
     arm = arms()[-1]
-    root = designs.view("9.10", arm).evidence.slowest_root().value
+    root = view.evidence.slowest_root().value
     return (
-        "With an exact model, the characteristic polynomial is the design polynomial: for the two exact arms they differ by"
-        f" {written(max(off))} of the largest coefficient. With an unknown payload of {written(PAYLOAD, exact=True)} kg the UR5's rightmost pole is"
+        "With an exact model, the characteristic polynomial is the design polynomial on every path. With an"
+        f" unknown payload of {written(PAYLOAD, exact=True)} kg the UR5's rightmost pole is"
         f" at {written(root)} 1/s instead of the designed {written(-arm.speed, exact=True)} 1/s."
     )
 
@@ -276,7 +307,7 @@ def margins_table(first: View, second: View, caption: str) -> Table:
     """Margins joint by joint of a loop with the exact model and with the wrong one."""
     a, b = first.margins, second.margins
     rows: list[tuple[Cell, ...]] = []
-    for j, name in enumerate(a.channels):
+    for j, name in enumerate(plots.without_affixes(a.channels)):
         rows.append(
             (
                 name,
@@ -288,14 +319,14 @@ def margins_table(first: View, second: View, caption: str) -> Table:
         )
     heads = (
         Column("Joint", numeric=False),
-        Column("Phase, exact", "°"),
-        Column("wrong", "°"),
-        Column("Gain down, exact", "dB"),
-        Column("wrong", "dB"),
-        Column("Delay, exact", "ms"),
-        Column("wrong", "ms"),
-        Column("Ms, exact"),
-        Column("wrong"),
+        Column("Phase, known", "°"),
+        Column("payload unknown", "°"),
+        Column("Gain down, known", "dB"),
+        Column("payload unknown", "dB"),
+        Column("Delay, known", "ms"),
+        Column("payload unknown", "ms"),
+        Column("Ms, known"),
+        Column("payload unknown"),
     )
     return Table(caption, heads, tuple(rows))
 
@@ -303,7 +334,7 @@ def margins_table(first: View, second: View, caption: str) -> Table:
 # --- conditional stability ---------------------------------------------------------------------------------------------------
 
 
-def conditional(designs: Designs) -> Section:
+def conditional(designs: Designs, full: bool = True) -> Section:
     """9.12 has a lower gain limit: 1/9 for a triple pole; simulated on both sides."""
     arm = arms()[0]
     w = arm.speed
@@ -351,7 +382,7 @@ def conditional(designs: Designs) -> Section:
 # --- 9.11 and 9.13 ---------------------------------------------------------------------------------------------------------
 
 
-def inverse_dynamics(designs: Designs) -> Section:
+def inverse_dynamics(designs: Designs, full: bool = True) -> Section:
     """9.11 and 9.13: the double integrator, and the coupling due to an unknown payload."""
     pages = []
     for arm in arms():
@@ -367,24 +398,36 @@ def inverse_dynamics(designs: Designs) -> Section:
                     "Decoupled double integrators (exact model) and the arm with the unknown payload: smallest margins of each joint along the path.",
                 ),
             )
-            more["exact_phase_deg"] = known.margins.phase_deg.min(axis=0)
-        pages.append(loop_page(view, arm.name, after=after, more=more))
+            more |= {"exact_phase_deg": known.margins.phase_deg.min(axis=0), "smallest_phase_deg": view.margins.phase_deg.min(axis=0)}
+        pages.append(
+            loop_page(
+                view,
+                arm.name,
+                after=after,
+                more=more,
+                brief=not (full or last(arm)),
+                compare=full or last(arm),
+                origins=designs.origins("9.11", arm),
+            )
+        )
     gaps = [float(page.numbers["double_integrator"]) for page in pages]
     wrong = pages[-1].numbers
     exact = np.asarray(wrong["exact_phase_deg"], float)
-    true = designs.view("9.11", arms()[-1]).margins.phase_deg.min(axis=0)
+    true = np.asarray(wrong["smallest_phase_deg"], float)
     change = exact - true
     j = int(np.nanargmax(np.abs(change))) if np.isfinite(change).any() else 0
     finding = (
-        f"From the command, the exact arms are decoupled double integrators 1/s² to a relative error of {written(max(gaps[:-1]))}. With the"
-        f" unknown payload the error of the UR5 is {written(gaps[-1])}, and the phase margins of its joints, {per_joint(exact)}° by "
-        f"design, become {per_joint(true)}° (largest change {written(float(change[j]))}°, {arms()[-1].robot.joint_names[j]})."
+        "From the command, the exact arms are decoupled double integrators 1/s². With the"
+        f" unknown payload the open loop of the UR5 differs from them by up to {written(100 * gaps[-1])} %, and the phase margins of its joints,"
+        f" {per_joint(exact)}° by design, become {per_joint(true)}° (largest change {written(float(change[j]))}°, {arms()[-1].robot.joint_names[j]})."
     )
     equations = (
         Equation(designs.law("9.11", arms()[0]).typst, "inverse dynamics", "9.11"),
         Equation("dot.double(q) = a_q", "the double integrator", "9.13"),
     )
-    return Section("9.11 and 9.13 Inverse dynamics and the double integrator", finding, equations, sections=tuple(pages), key="eq-9-11")
+    proofs = (at_most("loop at the command = PD with a double integrator", 1e-6, max(gaps[:-1]), "", "9.11, exact model"),)
+    title = "9.11 and 9.13 Inverse dynamics and the double integrator"
+    return Section(title, finding, proofs=proofs, key="eq-9-11", **shared(pages, equations, full))
 
 
 def double_integrator_gap(view: View) -> float:

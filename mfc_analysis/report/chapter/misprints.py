@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -12,7 +12,23 @@ import numpy as np
 from mfc_analysis import laws, plots
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.report.chapter.arms import Arm, Designs, arms, decibels, triple_pole
-from mfc_analysis.report.document.document import Compare, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Row, Section, Side, written
+from mfc_analysis.report.document.document import (
+    Badge,
+    Column,
+    Compare,
+    Equation,
+    Fact,
+    Figure,
+    KeyFacts,
+    Math,
+    Number,
+    Paragraph,
+    Row,
+    Section,
+    Side,
+    Table,
+    written,
+)
 from mfc_analysis.report.loops.view import View, place_words
 from mfc_analysis.requirements.line import Status
 from mfc_analysis.trajectories.joint import Hold
@@ -71,14 +87,35 @@ class Form:
         }
 
 
-def sections(designs: Designs | None = None) -> tuple[Section, ...]:
-    """One section: a comparison for each misprinted equation."""
+def sections(designs: Designs | None = None, *, full: bool = True) -> tuple[Section, ...]:
+    """One section: a comparison for each misprinted equation; not ``full``: a table of what each costs."""
     given = designs or Designs()
     inner = (velocity_feedforward(given), velocity_pi(given), torque_feedforward(given), computed_torque(given), triple(given))
     missed = [s.title for s in inner if s.numbers["standard"]["stable"] and not s.numbers["printed"]["stable"]]
     turned = f"the following make a stable loop unstable: {', '.join(missed)}" if missed else "none makes a stable loop unstable"
     finding = f"Of {len(inner)} misprints in the joint-space equations, {turned}. Each section gives the effect in numbers."
-    return (Section("Effect of the misprints in the joint-space equations", finding, sections=inner, key="misprints"),)
+    title, shown = "Effect of the misprints in the joint-space equations", "the equations as printed"
+    if full:
+        return (Section(title, finding, sections=inner, key="misprints", shown=shown),)
+    figure = next(f for b in inner[-1].body if isinstance(b, Row) for f in b.figures)
+    return (Section(title, finding, (costs_table(inner), Row((figure,))), sections=folded(inner), key="misprints", shown=shown, folded=True),)
+
+
+def costs_table(inner: Iterable[Section]) -> Table:
+    """Each misprint: the equation as printed, as meant, and what the difference costs."""
+    rows = []
+    for section in inner:
+        compare = next(b for b in section.body if isinstance(b, Compare))
+        one, other = (next(b.source for b in side.body if isinstance(b, Equation)) for side in (compare.left, compare.right))
+        where = section.title.partition(":")[0].partition(" on the ")[0]
+        rows.append((where, (Math(one), "; standard: ", Math(other)), compare.cost))
+    heads = (("Eq.", 1.3), ("As printed; standard", 4.5), ("Effect", 6.5))
+    return Table("The misprints and what each costs.", tuple(Column(x, numeric=False, share=share) for x, share in heads), tuple(rows))
+
+
+def folded(inner: Iterable[Section]) -> tuple[Section, ...]:
+    """The sections without their pages: numbers and sources stay."""
+    return tuple(replace(section, body=(), checks=()) for section in inner)
 
 
 def _section(equation: str, what: str, arm: Arm, printed: Form, standard: Form, cost: str, more: str = "") -> Section:
@@ -123,7 +160,9 @@ def _side(form: Form) -> Side:
         f"Poles, t = {written(round(worst.time, 4), exact=True)} s.",
         f"Pole map, {form.title.lower()}: rightmost pole {written(form.rightmost)} per second.",
     )
-    return Side(form.title, form.status, (Equation(form.source, f"{form.view.name}, {form.title.lower()}"), facts, figure))
+    badge = Badge.DEMO if form.title == "As printed" else None
+    said = {Status.FAIL: "not stable", Status.WATCH: "drifts"}.get(form.status, "")
+    return Side(form.title, badge, (Equation(form.source, f"{form.view.name}, {form.title.lower()}"), facts, figure), said)
 
 
 def _form(title: str, source: str, loop: ClosedLoop, arm: Arm, run: Callable[[ClosedLoop], Any] | None = None) -> Form:

@@ -7,6 +7,7 @@ from typing import Any
 
 from mfc_analysis.report.document.document import Block, Bullets, Row, Section, Text
 from mfc_analysis.report.loops import blocks
+from mfc_analysis.report.loops.checks import checks, everywhere
 from mfc_analysis.report.loops.sections import numbers, validated
 from mfc_analysis.report.loops.view import View
 from mfc_analysis.simulation.validation import Validation
@@ -27,6 +28,8 @@ def loop_page(
     before: tuple[Block, ...] = (),
     after: tuple[Block, ...] = (),
     more: Mapping[str, Any] | None = None,
+    origins: tuple[tuple[str, str], ...] = (),
+    brief: bool = False,
 ) -> Section:
     """The section of one loop.
 
@@ -34,7 +37,28 @@ def loop_page(
         title: of the section; omitted: the loop's name. shown: why a loop is shown for demonstration only; its verdict does not count.
         path: margins along the path; moving: the scrubber; frequency: Bode and poles; compare: the nonlinear loop.
         finding: omitted: made from the verdict. before, after: blocks around the figures. more: numbers for JSON.
+        origins: (gain, where its value comes from). brief: no blocks, for a section that folds its loops.
     """
+    found = validated(view, COMPARED) if compare else None
+    body = () if brief else _body(view, found, path, moving, frequency, before, after)
+    law = view.loop.law
+    return Section(
+        title[:1].upper() + title[1:] or view.name,
+        finding or view.summary(),
+        body,
+        checks(everywhere(view.verdict.lines, view.smallest), loop=view.loop),
+        numbers=numbers(view, found) | dict(more or {}),
+        sources=law.cited(),
+        loop=view.name,
+        key=view.name,
+        shown=shown,
+        origins=origins,
+    )
+
+
+def _body(
+    view: View, found: Validation | None, path: bool, moving: bool, frequency: bool, before: tuple[Block, ...], after: tuple[Block, ...]
+) -> tuple[Block, ...]:
     body: list[Block] = [blocks.three_numbers(view), *before]
     notes = [line.note for line in view.verdict.lines if line.note and line.name in ("stable", "residual") and line is not view.verdict.worst]
     if notes:
@@ -50,23 +74,10 @@ def loop_page(
         body.append(figure)
     if moving and (scrubber := blocks.scrubber(view)) is not None:
         body.append(scrubber)
-    found = validated(view, COMPARED) if compare else None
     if found is not None:
         drawing = blocks.validation_figure(view, found) if figure_wanted(found) else None
         body.append(drawing if drawing is not None else _said(view, found))
-    body += after
-    law = view.loop.law
-    return Section(
-        title[:1].upper() + title[1:] or view.name,
-        finding or view.summary(),
-        tuple(body),
-        view.checks,
-        numbers(view, found) | dict(more or {}),
-        law.cited(),
-        loop=view.name,
-        key=view.name,
-        shown=shown,
-    )
+    return (*body, *after)
 
 
 def figure_wanted(found: Validation) -> bool:

@@ -7,7 +7,8 @@
     |   +-- Paragraph, Bullets, Code, Callout, Equation, Table, Figure, Row, KeyFacts, Compare, Matrix, Scrubber
     +-- Scope, Provenance, Symbol ...
 
-Banner, matrix and worst case are computed from the sections' checks (``verdict.py``); they are never written by hand.
+Banner, picture, matrix and worst case are computed from the sections' checks (``verdict.py``); they are never written by hand.
+PASS, WATCH and FAIL judge a loop by its requirements. DEMO is what is shown to make a point, CONFIRMED is theory checked; neither counts.
 Text is a string, or a tuple of strings and spans (``Math``, ``Mono``, ``Strong``, ``Link``). A string is always text, never markup.
 """
 
@@ -17,6 +18,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
 from mfc_analysis.errors import BadArgument
@@ -102,8 +104,11 @@ class Number:
         return f"{self.sign} {shown}" if self.sign else shown
 
 
+DUST = 1e-9  #: a computed number below this is rounding error, and written as 0
+
+
 def written(value: float, digits: int = 3, infinite: str = "no limit", undefined: str = "not defined", exact: bool = False) -> str:
-    """A number as text with ``digits`` significant digits (``exact``: its shortest form, up to 6 digits); words for inf and NaN."""
+    """A number as text with ``digits`` significant digits (``exact``: as given, up to 6 digits); words for inf and NaN, 0 for rounding error."""
     if math.isnan(value):
         return undefined
     if math.isinf(value):
@@ -112,6 +117,8 @@ def written(value: float, digits: int = 3, infinite: str = "no limit", undefined
         return "0"
     if exact:
         return f"{value:.6g}".replace("-", "\N{MINUS SIGN}")
+    if abs(value) < DUST:
+        return "0"
     exponent = math.floor(math.log10(abs(value)))
     if -4 <= exponent < max(digits, 5):
         said = f"{value:.{max(digits - 1 - exponent, 0)}f}"
@@ -122,6 +129,13 @@ def written(value: float, digits: int = 3, infinite: str = "no limit", undefined
 
 
 # --- checks ------------------------------------------------------------------------------------------------------
+
+
+class Badge(StrEnum):
+    """What is not judged by requirements, and does not count: shown to make a point, or theory checked."""
+
+    DEMO = "DEMO"
+    CONFIRMED = "CONFIRMED"
 
 
 def found_of(line: Line) -> Number:
@@ -135,13 +149,13 @@ def limit_of(line: Line) -> Number:
 
 
 def distance_of(line: Line) -> Number:
-    """The distance to the limit, positive if it is met."""
-    return Number(line.distance, line.unit, infinite=line.infinite, undefined=line.undefined)
+    """The distance to the limit, positive if it is met; a dash where the value is infinite."""
+    return Number(line.distance if math.isfinite(line.found) else math.nan, line.unit, undefined="–")
 
 
 # --- blocks ------------------------------------------------------------------------------------------------------
 
-Cell = Text | Number | Status | int | float | complex
+Cell = Text | Number | Status | Badge | int | float | complex
 
 
 @dataclass(frozen=True)
@@ -167,9 +181,9 @@ class Code:
 
 @dataclass(frozen=True)
 class Callout:
-    """A framed remark with the colour, word and sign of a status."""
+    """A framed remark with the colour, word and sign of a status or badge."""
 
-    status: Status
+    status: Status | Badge
     title: str
     text: Text = ""
 
@@ -193,6 +207,7 @@ class Column:
     head: Text
     unit: str = ""
     numeric: bool = True
+    share: float = 0.0  #: of the width of the page, if a table of long texts shares it out
 
 
 @dataclass(frozen=True)
@@ -253,8 +268,9 @@ class Side:
     """One side of a comparison."""
 
     title: str
-    status: Status
+    badge: Badge | None
     body: tuple[Any, ...]
+    note: str = ""  #: beside the title: "unstable"
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,9 +284,9 @@ class Compare:
 
 @dataclass(frozen=True)
 class MatrixCell:
-    """A verdict in the matrix, with a link to the section that has the evidence."""
+    """A verdict (or DEMO) in the matrix, with a link to the section that has the evidence."""
 
-    status: Status
+    status: Status | Badge
     text: str
     target: str
 
@@ -323,33 +339,47 @@ class Section:
     title: str
     finding: Text = ""
     body: tuple[Block, ...] = ()
-    checks: tuple[Line, ...] = ()
+    checks: tuple[Line, ...] = ()  #: requirements on its loop
     numbers: Mapping[str, Any] = field(default_factory=dict)  #: named numbers and arrays, for JSON
     sources: tuple[str, ...] = ()
     sections: tuple[Section, ...] = ()
     loop: str = ""  #: the loop it is about: a row of the matrix
     key: str = ""  #: for links; default: made from the title
     verdict: Status | None = None  #: a status that does not come from checks
-    shown: str = ""  #: why a loop is shown for demonstration only ("open loop"); its status is shown, but does not count in the document's verdict
+    shown: str = ""  #: why it is shown for demonstration only ("open loop"): a DEMO, which does not count
+    proofs: tuple[Line, ...] = ()  #: theory and the library's own tests: listed in one appendix, not counted
+    folded: bool = False  #: the sections within are loops that share this page: one table of their checks instead of a page each
+    origins: tuple[tuple[str, str], ...] = ()  #: (gain, where its value comes from) of its loop
 
     @property
-    def status(self) -> Status:
-        """The worst of its own checks, of its verdict, and of the sections within."""
-        own = [c.status for c in self.checks] + [s.status for s in self.sections]
-        return worst([*own, self.verdict] if self.verdict is not None else own)
+    def badge(self) -> Status | Badge | None:
+        """What stands beside its title: PASS, WATCH or FAIL of what is judged, else DEMO, else CONFIRMED, else None."""
+        if self.judged is not Status.INFO:
+            return self.judged
+        if self.shown or any(s.badge is Badge.DEMO for s in self.sections):
+            return Badge.DEMO
+        return Badge.CONFIRMED if self.proofs or any(s.badge is Badge.CONFIRMED for s in self.sections) else None
 
     @property
     def judged(self) -> Status:
-        """The status that counts for the document: demonstrations are left out."""
+        """The worst of its checks, of its verdict, and of the sections within; demonstrations are left out."""
         if self.shown:
             return Status.INFO
-        own = [c.status for c in self.checks] + [s.judged for s in self.sections]
+        own = [c.status for c in self.checks] + [s.judged for s in self.sections] + [c.status for c in self.proofs if c.status is Status.FAIL]
         return worst([*own, self.verdict] if self.verdict is not None else own)
 
     def every_check(self) -> tuple[tuple[Section, Line], ...]:
         """Its checks and those of the sections within, each with its section."""
         inner = tuple(pair for s in self.sections for pair in s.every_check())
         return tuple((self, c) for c in self.checks) + inner
+
+    def every_source(self) -> tuple[str, ...]:
+        """Its sources and those of the sections within."""
+        return (*self.sources, *(x for s in self.sections for x in s.every_source()))
+
+    def every_proof(self) -> tuple[tuple[Section, Line], ...]:
+        """Its proofs and those of the sections within, each with its section."""
+        return tuple((self, c) for c in self.proofs) + tuple(pair for s in self.sections for pair in s.every_proof())
 
 
 @dataclass(frozen=True)
@@ -393,3 +423,4 @@ class Document:
     symbols: tuple[Symbol, ...] = ()
     appendices: tuple[Section, ...] = ()
     matrix: bool = True  #: show loops x checks when there is more than one loop
+    front: tuple[Section, ...] = ()  #: after the scope: what was analysed, such as the gains of all loops

@@ -13,7 +13,8 @@ from typing import Any
 from mfc_analysis.report.document import document as s, verdict as judged
 from mfc_analysis.requirements.line import Status
 
-SIGNS = {"PASS": "✓", "WATCH": "!", "FAIL": "✗", "INFO": "i"}
+LONG_ROWS, LONG_WORDS = 12, 1200  #: rows, letters of a table that may be broken across pages
+SIGNS = {"PASS": "✓", "WATCH": "!", "FAIL": "✗", "INFO": "i", "DEMO": "▹", "CONFIRMED": "="}
 
 
 @dataclass
@@ -24,6 +25,7 @@ class Tree:
     equations: dict[str, tuple[str, bool]] = field(default_factory=dict)  #: id -> (Typst source, display?)
     figures: dict[str, s.Figure] = field(default_factory=dict)
     scrubbers: dict[str, s.Scrubber] = field(default_factory=dict)
+    keys: dict[int, str] = field(default_factory=dict)  #: id() of each section -> its key
 
 
 def tree(document: s.Document) -> Tree:
@@ -46,11 +48,9 @@ class _Builder:
     def build(self) -> Tree:
         document = self.document
         found = judged.verdict(document)
-        front = [self._matrix(), self._worst(found), *self.front]
-        back = self._back()
-        own = {id(x) for x in (*document.sections, *document.appendices)}
-        shown = (*[f for f in front if f is not None], *document.sections, *back)
-        sections = [self._section(x, 1) | {"own": id(x) in own} for x in shown]
+        shown = (*self._glance(found), *self.front, *self._all_requirements(), *document.sections, *self._back())
+        sections = [self._section(x, 1) for x in shown]
+        self.out.keys = self.keys
         target = self.keys.get(id(found.section), "") if found.section is not None else ""
         self.out.root = {
             "title": document.title,
@@ -72,7 +72,7 @@ class _Builder:
     def _front(self) -> tuple[s.Section, ...]:
         scope = self.document.scope
         if scope is None:
-            return ()
+            return self.document.front
         parts = (
             ("Model", scope.model),
             ("Assumptions", scope.assumptions),
@@ -83,7 +83,7 @@ class _Builder:
         table = s.Table(
             "Basis of the verdict, and what is not checked.", (s.Column("Item", numeric=False), s.Column("Description", numeric=False)), rows
         )
-        return (s.Section("Scope", body=(table,), key="scope"),)
+        return (s.Section("What was analysed", body=(table,), key="scope"), *self.document.front)
 
     def _back(self) -> tuple[s.Section, ...]:
         if not hasattr(self, "_after"):
@@ -102,34 +102,39 @@ class _Builder:
                 columns = (s.Column("Symbol", numeric=False), s.Column("Meaning", numeric=False), s.Column("Unit", numeric=False))
                 letters = tuple((x.letter, x.meaning, x.unit) for x in self.document.symbols)
                 out.append(s.Section("Symbols", body=(s.Table("Symbols used in this report.", columns, letters),), key="symbols"))
+            out = [*judged.proofs(self.document), *out]
+            cited = cited_once(x for section in self.document.sections for x in section.every_source())
+            if cited:
+                out.append(s.Section("Sources", body=(s.Bullets(cited),), key="sources"))
             self._after = tuple(out)
         return self._after
 
-    def _matrix(self) -> s.Section | None:
-        found = judged.matrix(self.document, self.keys) if self.document.matrix else None
-        if found is None or len(found.rows) < 2:
-            return None
-        section = s.Section("All loops at a glance", body=(found,), key="matrix")
-        self._key(section)
-        return section
-
-    def _worst(self, found: judged.Verdict) -> s.Section | None:
-        if found.check is None or found.section is None:
-            return None
-        check = found.check
-        facts = s.KeyFacts(
-            (
-                s.Fact("Check", check.label, found.section.loop or found.section.title),
+    def _glance(self, found: judged.Verdict) -> tuple[s.Section, ...]:
+        """Page 1: the picture of all loops, and the worst case."""
+        drawn = judged.picture(self.document) if self.document.matrix else None
+        body: list[s.Block] = [] if drawn is None else [drawn]
+        check, section = found.check, found.section
+        if check is not None and section is not None:
+            name = "Tightest requirement" if check.status is Status.PASS else "Worst case"
+            facts = (
+                s.Fact(name, check.label, section.loop or section.title),
                 s.Fact("Value", s.found_of(check)),
                 s.Fact("Required", s.limit_of(check)),
                 s.Fact("Where", check.place or "everywhere"),
             )
-        )
-        told = judged.said(found.section, check)
-        text = (told[:1].upper() + told[1:] + ". ", s.Link("See the evidence", self.keys[id(found.section)]), ".")
-        section = s.Section("The worst case", finding=text, body=(facts,), key="worst-case", verdict=None)
-        self._key(section)
-        return section
+            body.append(s.KeyFacts(facts))
+        made = s.Section("All loops at a glance" if drawn is not None else "The worst case", body=tuple(body), key="worst-case")
+        self._key(made)
+        return (made,) if body else ()
+
+    def _all_requirements(self) -> tuple[s.Section, ...]:
+        """The table of loops and requirements, for more than one loop."""
+        table = judged.matrix(self.document, self.keys) if self.document.matrix else None
+        if table is None or len(table.rows) < 2:
+            return ()
+        made = s.Section("All requirements", body=(table,), key="matrix")
+        self._key(made)
+        return (made,)
 
     def _key(self, section: s.Section) -> None:
         if id(section) in self.keys:
@@ -141,22 +146,27 @@ class _Builder:
         self.taken.add(key)
         self.keys[id(section)] = key
         for inner in section.sections:
-            self._key(inner)
+            if section.folded:
+                self.keys[id(inner)] = key
+            else:
+                self._key(inner)
 
     def _section(self, section: s.Section, level: int) -> dict[str, Any]:
         key = self.keys[id(section)]
-        asked = (judged.requirements(section),) if section.checks else ()
+        asked: tuple[s.Block, ...] = (judged.requirements(section),) if section.checks and not section.shown else ()
+        if section.folded and any(x.checks and not x.shown for x in section.sections):
+            asked = (*asked, judged.folded(section))
         blocks = [self._block(b) for b in (*asked, *section.body)]
+        badge = section.badge
         return {
             "id": key,
             "level": level,
             "title": section.title,
-            "status": section.status.value if section.status is not Status.INFO else "",
-            "sign": SIGNS[section.status.value],
+            "status": "" if badge is None else badge.value,
+            "sign": "" if badge is None else SIGNS[badge.value],
             "finding": self._text(section.finding),
             "blocks": blocks,
-            "sources": list(section.sources),
-            "sections": [self._section(x, level + 1) for x in section.sections],
+            "sections": [] if section.folded else [self._section(x, level + 1) for x in section.sections],
         }
 
     # --- text ----------------------------------------------------------------------------------------------------
@@ -182,7 +192,7 @@ class _Builder:
         return key
 
     def _cell(self, cell: s.Cell) -> dict[str, Any]:
-        if isinstance(cell, Status):
+        if isinstance(cell, (Status, s.Badge)):
             return {"spans": [{"k": "text", "t": cell.value}], "status": cell.value, "sign": SIGNS[cell.value], "bare": False}
         if isinstance(cell, s.Number):
             cell = str(cell)
@@ -216,13 +226,16 @@ class _Builder:
 
     def _make_table(self, b: s.Table) -> dict[str, Any]:
         self.tables += 1
-        columns = [{"spans": self._text(c.head), "unit": c.unit, "numeric": c.numeric} for c in b.columns]
+        columns = [{"spans": self._text(c.head), "unit": c.unit, "numeric": c.numeric, "share": c.share} for c in b.columns]
+        rows = [[self._cell(c) for c in row] for row in b.rows]
+        words = sum(len(span["t"]) for row in rows for cell in row for span in cell["spans"])
         return {
+            "long": len(rows) > LONG_ROWS or words > LONG_WORDS,
             "number": self.tables,
             "caption": self._text(b.caption),
             "columns": columns,
-            "units": any(c.unit for c in b.columns),
-            "rows": [[self._cell(c) for c in row] for row in b.rows],
+            "result": next((k for k, c in enumerate(b.columns) if c.head == "Result"), -1),
+            "rows": rows,
         }
 
     def _make_figure(self, b: s.Figure) -> dict[str, Any]:
@@ -239,7 +252,13 @@ class _Builder:
 
     def _make_compare(self, b: s.Compare) -> dict[str, Any]:
         sides = [
-            {"title": clean(x.title), "status": x.status.value, "sign": SIGNS[x.status.value], "blocks": [self._block(y) for y in x.body]}
+            {
+                "title": clean(x.title),
+                "status": x.badge or "",
+                "sign": SIGNS[x.badge] if x.badge else "",
+                "note": x.note,
+                "blocks": [self._block(y) for y in x.body],
+            }
             for x in (b.left, b.right)
         ]
         return {"sides": sides, "cost": self._text(b.cost)}
@@ -278,6 +297,16 @@ def _blocks(blocks: Iterable[dict[str, Any]]) -> Iterable[dict[str, Any]]:
         yield from _blocks(block.get("figures", ()))
         for side in block.get("sides", ()):
             yield from _blocks(side["blocks"])
+
+
+def cited_once(sources: Iterable[str]) -> tuple[str, ...]:
+    """Each work once, with all its chapters or equations."""
+    works: dict[tuple[str, str], list[str]] = {}
+    for source in sources:
+        work, mark, part = next((source.rpartition(m) for m in (", ch. ", ", eq. ") if m in source), (source, "", ""))
+        parts = works.setdefault((work, mark), [])
+        parts += [part] if part and part not in parts else []
+    return tuple(f"{work}{mark}{', '.join(parts)}" for (work, mark), parts in works.items())
 
 
 def _joined(items: tuple[s.Text, ...]) -> tuple[s.Span, ...]:

@@ -372,7 +372,8 @@ def validation_words(found: Validation, unit: str = "rad") -> str:
         if np.isinf(found.taylor_order)
         else f"the remainder has order {written(found.taylor_order)} in the initial error"
     )
-    off = f"over {written(found.time, exact=True)} s the error of the linear model is {written(100 * found.nrmse)} %"
+    error = 0.0 if np.isinf(found.taylor_order) else 100 * found.nrmse  # of a linear loop: rounding
+    off = f"over {written(found.time, exact=True)} s the error of the linear model is {written(error)} %"
     if np.isinf(found.nrmse):
         off = f"from an initial error of {written(found.size, exact=True)} {unit} the nonlinear simulation does not reach its end ({found.message})"
     return f"{off}; it stays below 5 % for {reach}; {order}"

@@ -27,6 +27,7 @@ from mfc_analysis.report.document.document import (
 )
 from mfc_analysis.report.loops import blocks
 from mfc_analysis.report.loops.parameters import the_loop
+from mfc_analysis.report.loops.record import KEY, record
 from mfc_analysis.report.loops.step_runs import GROWTH, step_run
 from mfc_analysis.report.loops.view import View, place_words
 from mfc_analysis.requirements.line import Status
@@ -57,9 +58,9 @@ def loop_section(view: View) -> Section:
         view.summary(),
         tuple(_notes(view)),
         view.checks,
-        numbers(view, found),
-        view.loop.law.cited(),
-        tuple(inner),
+        numbers=numbers(view, found),
+        sources=view.loop.law.cited(),
+        sections=tuple(inner),
         loop=view.name,
     )
 
@@ -89,6 +90,7 @@ def numbers(view: View, found: Validation | None = None) -> dict[str, Any]:
         "sensitivity_peak": m.sensitivity_peak[i],
         "gains": {name: np.asarray(g.array) for name, g in view.loop.law.gains().items() if g},
         "largest_residual": float(np.abs(view.lin.residual).max(initial=0.0)),
+        KEY: record(view.loop, view.times, view.point),
     }
     if found is not None:
         direction = dict(zip(view.loop.equations.state_names, found.direction, strict=True))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mfc_analysis.report.document import document as s
-from mfc_analysis.report.document.tree import Tree, every_block
+from mfc_analysis.report.document.tree import Tree, clean, every_block
 from mfc_analysis.requirements.line import Line
 
 
@@ -25,7 +25,7 @@ def numbers(document: s.Document, tree: Tree, version: str) -> dict[str, Any]:
         "subtitle": document.subtitle,
         "version": version,
         "verdict": root["verdict"],
-        "sections": [_section(found, plain) for found, plain in _pairs(document, root["sections"])],
+        "sections": [_section(found, tree.keys) for found in (*document.front, *document.sections, *document.appendices)],
         "figures": [
             {"id": b["id"], "number": b["number"], "alt": b["alt"]} for b in every_block(root["sections"]) if b["k"] in ("figure", "scrubber")
         ],
@@ -66,26 +66,21 @@ def plain(value: Any, infinite: str = "infinite", undefined: str = "not defined"
     return str(value)
 
 
-def _pairs(document: s.Document, roots: list[dict[str, Any]]) -> list[tuple[s.Section, dict[str, Any]]]:
-    """The sections of the document with their plain form; those added for the pages (matrix, worst case, symbols) have no numbers."""
-    own = [root for root in roots if root["own"]]
-    return list(zip((*document.sections, *document.appendices), own, strict=True))
-
-
-def _section(section: s.Section, plain_form: dict[str, Any]) -> dict[str, Any]:
+def _section(section: s.Section, keys: Mapping[int, str]) -> dict[str, Any]:
     return {
-        "id": plain_form["id"],
+        "id": keys[id(section)],
         "title": section.title,
         "loop": section.loop,
-        "status": section.status.value,
+        "status": section.badge or "INFO",
         "shown": section.shown,
-        "finding": _words(plain_form["finding"]),
+        "finding": clean(words(section.finding)),
         "checks": [_check(c) for c in section.checks],
+        "proofs": [_check(c) for c in section.proofs],
         "numbers": plain(section.numbers),
         "facts": _facts(section),
         "tables": _tables(section),
         "sources": list(section.sources),
-        "sections": [_section(x, y) for x, y in zip(section.sections, plain_form["sections"], strict=True)],
+        "sections": [_section(x, keys) for x in section.sections],
     }
 
 
@@ -96,7 +91,7 @@ def _check(c: Line) -> dict[str, Any]:
         "unit": c.unit,
         "asked": plain(c.asked),
         "found": plain(c.found, c.infinite, c.undefined),
-        "distance": plain(c.distance, c.infinite, c.undefined),
+        "distance": plain(c.distance, "infinite", c.undefined),
         "status": c.status.value,
         "where": c.where,
         "when": plain(c.when),
@@ -127,7 +122,3 @@ def words(text: s.Text) -> str:
     """A text without its markup."""
     spans = text if isinstance(text, tuple) else (text,)
     return "".join(x if isinstance(x, str) else x.words if isinstance(x, s.Math) else x.text for x in spans)
-
-
-def _words(spans: list[dict[str, str]]) -> str:
-    return "".join(x["t"] for x in spans)

@@ -43,7 +43,7 @@ def test_the_projector_has_the_free_directions_as_its_rank_and_annihilates_the_c
     mobility = np.linalg.inv(Lambda)
     P = np.eye(6) - A.T @ np.linalg.solve(A @ mobility @ A.T, A @ mobility)
     assert section.numbers["projector"]["rank of P"] == np.linalg.matrix_rank(P, tol=1e-6) == section.numbers["rank_free"]
-    assert np.abs(P @ A.T).max() < 1e-12 and {c.status for c in section.checks} == {Status.PASS}
+    assert np.abs(P @ A.T).max() < 1e-12 and {c.status for c in section.proofs} == {Status.PASS}
 
 
 def test_components_of_twists_and_wrenches_have_their_units() -> None:

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 
 from mfc_analysis.report.chapter import misprints
 from mfc_analysis.report.chapter.arms import Designs, arms
-from mfc_analysis.report.document.document import Compare, written
-from mfc_analysis.requirements.line import Status
+from mfc_analysis.report.document.document import Badge, Compare, written
 from mfc_analysis.robots.catalogue import planar_2r
 from mfc_analysis.trajectories import Hold
 from tests.report.read import told
@@ -64,4 +63,4 @@ def test_the_heading_names_the_misprint_that_makes_a_stable_loop_unstable_and_no
     assert lost == ["misprint-9-12"]
     assert [key for key, s in found.items() if s["title"] in found["misprints"]["finding"]] == lost
     side = compared(misprints.triple(Designs()))
-    assert (side.left.status, side.right.status) == (Status.FAIL, Status.PASS)
+    assert (side.left.badge, side.left.note, side.right.badge, side.right.note) == (Badge.DEMO, "not stable", None, "")

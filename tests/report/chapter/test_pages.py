@@ -47,6 +47,6 @@ def test_a_comparison_that_is_exact_is_told_and_another_is_drawn() -> None:
 
 def test_checks_and_finding_follow_the_gains() -> None:
     unstable = loop_page(falling(), frequency=False, compare=False)
-    assert unstable.status == "FAIL" and unstable.checks[0].found > 0
-    assert loop_page(mass(), frequency=False, compare=False).status == "PASS"
+    assert unstable.badge == "FAIL" and unstable.checks[0].found > 0
+    assert loop_page(mass(), frequency=False, compare=False).badge == "PASS"
     assert loop_page(mass(25.0, 6.0), compare=False).finding != loop_page(mass(36.0, 6.0), compare=False).finding

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.report.document.document import Column, Equation, Figure, Math, Number, Section, Table, written
+from mfc_analysis.report.document.document import Badge, Column, Equation, Figure, Math, Number, Section, Table, distance_of, written
 from mfc_analysis.requirements.line import Line, Status, worst
 
 INF, NAN = float("inf"), float("nan")
@@ -74,8 +74,27 @@ def test_the_worst_status_wins_and_none_is_info():
 def test_a_section_is_as_bad_as_the_worst_within_it():
     inner = Section("inner", checks=(check(Status.WATCH, 0.1),))
     outer = Section("outer", checks=(check(Status.PASS, 3.0),), sections=(inner,))
-    assert outer.status is Status.WATCH
+    assert outer.judged is outer.badge is Status.WATCH
     assert [c.status for _, c in outer.every_check()] == [Status.PASS, Status.WATCH]
+
+
+def test_a_demonstration_is_a_demo_whatever_fails_and_theory_is_confirmed_unless_it_fails():
+    demo = Section("open loop", checks=(check(Status.FAIL, -1.0),), shown="open loop")
+    assert demo.badge is Badge.DEMO and demo.judged is Status.INFO and Section("law", sections=(demo,)).badge is Badge.DEMO
+    good, bad = (Section("theory", proofs=(check(status, 1.0),)) for status in (Status.PASS, Status.FAIL))
+    assert good.badge is Badge.CONFIRMED and good.judged is Status.INFO and bad.badge is Status.FAIL
+    assert Section("both", checks=(check(Status.WATCH, 0.1),), sections=(demo, good)).badge is Status.WATCH and Section("text").badge is None
+    assert [c for _, c in Section("top", sections=(good, demo)).every_proof()] == list(good.proofs)
+
+
+@pytest.mark.parametrize(("found", "said"), [(INF, "–"), (-INF, "–"), (NAN, "–"), (12.5, "2.50 dB")])
+def test_a_distance_is_a_number_or_a_dash_never_infinite(found, said):
+    assert str(distance_of(Line("x", 10.0, found, "dB", found - 10.0, Status.PASS))) == said
+
+
+@pytest.mark.parametrize(("value", "said"), [(6.66e-16, "0"), (-9.9e-10, "0"), (1.1e-9, "1.10e−9")])
+def test_rounding_error_is_written_as_zero_unless_somebody_gave_it(value, said):
+    assert written(value) == said and written(value, exact=True) != "0"
 
 
 def test_severity_orders_unstable_before_missed_before_close():

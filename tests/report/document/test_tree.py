@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 from mfc_analysis.report.document import document as s
-from mfc_analysis.report.document.tree import clean, complex_written, every_block, slug, tree
+from mfc_analysis.report.document.tree import cited_once, clean, complex_written, every_block, slug, tree
 from mfc_analysis.requirements.line import Line, Status
 from tests.report import samples
 
@@ -28,7 +28,9 @@ def test_front_and_back_stand_around_the_documents_own_sections() -> None:
     found = [x["id"] for x in tree(replace(made, appendices=(s.Section("More"),))).root["sections"]]
     own = [slug(f"{x.loop} {x.title}" if x.loop else x.title) for x in made.sections]
     assert found == ["worst-case", "scope", *own, "provenance", "more", "symbols"]  # of one loop there is no matrix
-    assert [x["id"] for x in tree(samples.chapter()).root["sections"]][:2] == ["matrix", "worst-case"]
+    many = replace(samples.chapter(), front=(s.Section("Given"),))
+    assert [x["id"] for x in tree(many).root["sections"]][:3] == ["worst-case", "given", "matrix"]
+    assert tree(many).root["sections"][-1]["id"] == "sources"
     assert "matrix" not in ids(tree(replace(samples.chapter(), matrix=False)).root["sections"])
 
 
@@ -41,7 +43,7 @@ def test_sections_of_one_title_have_keys_of_their_own_and_levels_go_down() -> No
 
 def test_tables_and_figures_are_counted_through_rows_and_comparisons_in_the_order_of_the_page() -> None:
     table = s.Table("c", (s.Column("a"),), ((1,),))
-    sides = s.Compare(s.Side("l", Status.PASS, (figure("f2"), table)), s.Side("r", Status.FAIL, (figure("f3"),)), "cost")
+    sides = s.Compare(s.Side("l", s.Badge.DEMO, (figure("f2"), table)), s.Side("r", None, (figure("f3"),)), "cost")
     made = tree(
         s.Document("t", "u", (s.Section("one", body=(table, s.Row((figure("f0"), figure("f1"))), sides)), s.Section("two", body=(figure("f4"),))))
     )
@@ -66,8 +68,30 @@ def test_a_link_leads_only_to_a_section_that_is_there_and_the_verdict_to_the_wor
     root = tree(s.Document("t", "u", (s.Section("a one", spans), s.Section("b two", checks=(bad,))))).root
     own = {x["id"]: x for x in root["sections"]}
     assert [x["to"] for x in own["a-one"]["finding"]] == ["b-two", ""]
-    assert root["verdict"]["to"] == "b-two" and [x["to"] for x in own["worst-case"]["finding"] if x["k"] == "link"] == ["b-two"]
+    assert root["verdict"]["to"] == "b-two" and own["worst-case"]["blocks"][0]["facts"][0]["value"] == "x"
     assert own["b-two"]["blocks"][0]["k"] == "table"  # what was asked stands first
+
+
+def test_loops_that_share_a_page_have_one_table_and_their_links_lead_there() -> None:
+    def loop(name: str, found: float, shown: str = "") -> s.Section:
+        status = Status.PASS if found >= 1 else Status.FAIL
+        checks = (Line("y", 2.0, 3.0, "", 1.0, Status.PASS, "elbow", 0.5), Line("x", 1.0, found, "", found - 1, status))
+        return s.Section(name, checks=checks, loop=f"law, {name}", shown=shown, body=(s.Paragraph("not here"),))
+
+    shared = s.Section("law", "all of them", sections=(loop("a", 5.0), loop("b", 0.5), loop("c", 0.0, "open")), folded=True)
+    root = tree(s.Document("t", "u", (shared,))).root
+    own = {x["id"]: x for x in root["sections"]}
+    assert own["law"]["sections"] == [] and [b["k"] for b in own["law"]["blocks"]] == ["table"]
+    (table,) = own["law"]["blocks"]
+    assert [[c["spans"][0]["t"] if c["spans"] else "" for c in row] for row in table["rows"]] == [
+        ["a", "PASS", "3.00 elbow, t = 0.5 s", "5.00"], ["b", "FAIL", "3.00 elbow, t = 0.5 s", "0.500"], ["c", "DEMO", "", ""],
+    ]  # fmt: skip
+    assert [row["to"] for row in own["matrix"]["blocks"][0]["rows"]] == ["law"] * 3 and root["verdict"]["to"] == "law"
+
+
+def test_each_work_is_cited_once_with_all_its_chapters() -> None:
+    given = ("A, B, ch. 11", "chapter, eq. 9.1", "A, B, ch. 11.5", "chapter, eq. 9.2", "A, B, ch. 11", "C (2020)")
+    assert cited_once(given) == ("A, B, ch. 11, 11.5", "chapter, eq. 9.1, 9.2", "C (2020)")
 
 
 @pytest.mark.parametrize(("z", "said"), [

@@ -6,20 +6,20 @@ import json
 
 import pytest
 
-from mfc_analysis.report.document.document import Document, Section
-from mfc_analysis.report.document.verdict import matrix, requirements, verdict
+from mfc_analysis.report.document.document import Badge, Document, MatrixCell, Section
+from mfc_analysis.report.document.verdict import matrix, picture, proofs, requirements, verdict
 from mfc_analysis.report.render.write import rendered
 from mfc_analysis.requirements.line import Line, Status
 from tests.report import samples
 
-NAN = float("nan")
+INF, NAN = float("inf"), float("nan")
 
 
 def test_a_gain_that_makes_a_loop_unstable_changes_banner_matrix_section_and_json():
     good, bad = (rendered(samples.chapter(phase), ("html", "json")) for phase in (62.0, NAN))
     page, data = bad["html"].decode(), json.loads(bad["json"])
-    assert "PASS: All 6 checks are met" in good["html"].decode()
-    assert "FAIL: 2 of 6 checks are not met" in page
+    assert "PASS: All 6 requirements are met" in good["html"].decode()
+    assert "FAIL: 2 of 6 requirements are not met" in page
     assert (data["verdict"]["status"], json.loads(good["json"])["verdict"]["status"]) == ("FAIL", "PASS")
     section = next(x for x in data["sections"] if x["loop"] == "single joint")
     assert section["status"] == "FAIL"
@@ -31,7 +31,7 @@ def test_a_gain_that_makes_a_loop_unstable_changes_banner_matrix_section_and_jso
 def test_the_worst_check_is_the_one_farthest_beyond_its_limit():
     found = verdict(samples.chapter(30.0))
     assert found.check.found == 30.0 and found.section.loop == "single joint"
-    assert found.sentence == "2 of 6 checks are not met"
+    assert found.sentence == "2 of 6 requirements are not met"
 
 
 def test_without_a_miss_the_tightest_check_is_named():
@@ -68,16 +68,42 @@ def test_checks_that_few_loops_have_share_a_column_of_a_wide_matrix():
     assert found.rows[0][2][-1].text == "odd: 0.500 m" and found.rows[1][2][-1] is None
 
 
-def test_loops_that_are_only_shown_keep_their_status_and_leave_the_banner_alone():
+def test_loops_that_are_only_shown_are_demos_and_leave_the_banner_and_the_count_alone():
     bad = Line("x", 1.0, 0.0, "", -1.0, Status.FAIL)
     good = Line("x", 1.0, 2.0, "", 1.0, Status.PASS)
     shown = Section("open", checks=(bad,), loop="open", shown="open loop")
     document = Document("t", "s", (Section("used", checks=(good,), loop="used"), Section("law", sections=(shown,))))
     found = verdict(document)
-    assert shown.status is Status.FAIL and found.status is Status.PASS and found.check is good
-    assert "1 loop is shown for demonstration" in found.detail and "1 of 1 does not meet a requirement" in found.detail
+    assert shown.badge is Badge.DEMO and found.status is Status.PASS and found.check is good
+    assert "1 loop is shown for demonstration (DEMO) and not counted" in found.detail and "All 1 requirements" in found.sentence
+    cells = matrix(document, {id(s): s.title for s in (*document.sections, shown)}).rows
+    assert [cell for _, _, row in cells for cell in row] == [MatrixCell(Status.PASS, "2.00", "used"), None]
     page = json.loads(rendered(document, ("json",))["json"])
-    assert page["sections"][1]["sections"][0]["status"] == "FAIL" and page["sections"][1]["sections"][0]["shown"] == "open loop"
+    assert page["sections"][1]["sections"][0]["status"] == "DEMO" and page["sections"][1]["sections"][0]["shown"] == "open loop"
+
+
+def test_theory_is_listed_once_and_counts_only_where_it_fails():
+    good, bad = Line("closed form", 1e-6, 0.0, "%", 1e-6, Status.PASS, "pole", sense="≤"), Line("closed form", 1e-6, 1.0, "%", -1.0, Status.FAIL)
+    asked = Section("used", checks=(Line("x", 1.0, 2.0, "", 1.0, Status.PASS),), loop="used")
+    one, other = (Document("t", "s", (asked, Section("theory", proofs=(line,)))) for line in (good, bad))
+    assert (verdict(one).status, verdict(one).sentence) == (Status.PASS, "All 1 requirements are met")
+    assert "1 of 1 checks of theory are confirmed" in verdict(one).detail
+    assert verdict(other).status is Status.FAIL and verdict(other).sentence.startswith("1 self-test of the library failed: closed form")
+    ((table,),) = (s.body for s in proofs(one))
+    assert table.rows == (("theory", Badge.CONFIRMED, "closed form: pole (0 %, ≤ 1e−06 %)"),) and proofs(Document("t", "s", (asked,))) == ()
+
+
+def test_the_picture_has_a_bar_in_limits_for_each_loop_and_margin():
+    def loop(name, phase, peak, shown=""):
+        lines = (Line("phase_deg", 45.0, phase, "°", phase - 45, Status.PASS if phase >= 45 else Status.FAIL, label="phase margin"),)
+        lines += (Line("sensitivity_peak", 2.0, peak, "", 2 - peak, Status.PASS, sense="≤", label="sensitivity peak"),)
+        return Section(name, checks=lines, loop=name, shown=shown)
+
+    found = picture(Document("t", "s", (loop("a", 90.0, 1.0), loop("b", 30.0, 1.6), loop("c", INF, 1.0, "open"))))
+    loops, heads, ratio, words, marks = found.draw.args
+    assert (loops, heads, marks) == (("a", "b", "c"), ("phase margin [°]", "sensitivity peak"), ("PASS", "FAIL", "DEMO"))
+    assert ratio.tolist() == [[2.0, 2.0], [30 / 45, 1.25], [INF, 2.0]] and words == (("90.0", "1.00"), ("30.0", "1.60"), ("∞", "1.00"))
+    assert "0.667" in found.alt and picture(Document("t", "s", (loop("a", 90.0, 1.0),))) is None
 
 
 def test_two_checks_in_one_cell_show_the_worse():
@@ -94,7 +120,7 @@ def test_a_document_without_loops_has_no_matrix():
 def test_requirements_are_listed_failures_first():
     table = requirements(samples.document().sections[0])
     assert table.rows[0][0] == "overshoot"
-    assert [row[3] for row in table.rows] == [Status.FAIL, Status.PASS, Status.PASS, Status.PASS]
+    assert [row[1] for row in table.rows] == [Status.FAIL, Status.PASS, Status.PASS, Status.PASS]
 
 
 @pytest.mark.parametrize("overshoot", [9.99, 10.01])

@@ -47,6 +47,6 @@ def test_a_requirement_at_one_point_names_it_and_a_smaller_margin_at_another() -
     assert line.status == "PASS" and line.where == "fz at “force”"
     assert f"{1e3 * torque:.1f} ms at “torque”" in line.elsewhere and "beyond the limit" in line.elsewhere
     (row,) = (row for row in requirements(Section("", checks=found.checks)).rows if row[0] == "delay margin")
-    assert line.elsewhere in str(row[-1]) and str(found_of(line)) == str(row[1])
+    assert line.elsewhere in str(row[-1]) and str(found_of(line)) == str(row[2])
     assert blocks.sensitivity(found).facts[3].value.value == pytest.approx(1e3 * torque)
     assert "“torque”" in found.tightest() or "“position”" in found.tightest()

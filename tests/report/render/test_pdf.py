@@ -51,7 +51,7 @@ def test_hostile_names_are_text(hostile):
 
 def test_the_pages_hold_the_numbers_of_the_checks():
     said = words(rendered(samples.document(), ("pdf",))["pdf"])
-    assert "15.9 %" in said and "FAIL: 1 of 4 checks is not met" in said and "Figure 1" in said
+    assert "15.9 %" in said and "FAIL: 1 of 4 requirements is not met" in said and "Figure 1" in said
 
 
 def test_a_date_is_an_input():

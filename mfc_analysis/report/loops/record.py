@@ -1,0 +1,182 @@
+"""A loop as data, complete: law, gains, arm, payload, path, hardware, surfaces and analysis point, and tables of them for the pages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.laws.gain import Gain
+from mfc_analysis.maths.se3 import log6
+from mfc_analysis.report.document.document import Column, Section, Table, written
+from mfc_analysis.report.loops.parameters import array_words
+from mfc_analysis.requirements.replay import DERIVED, replay
+
+if TYPE_CHECKING:
+    from mfc_analysis.loop import ClosedLoop
+    from mfc_analysis.robots.robot import Robot
+
+KEY = "loop"  #: of the record among the numbers of a section
+
+
+def record(loop: ClosedLoop, times: ArrayLike = (0.0,), at: str = "") -> dict[str, Any]:
+    """All that rebuilds a loop, as plain numbers and words, and the Python code that does.
+
+    Laws, references, surfaces and hardware have their class and the arguments that differ from its defaults; robots have their name, tool,
+    friction and payloads.
+
+    Args:
+        times: (m,) [s] of its linearisations. at: the analysis point of its margins.
+    """
+    hardware = loop.equations.hardware
+    out = {
+        "robot": _robot(loop.robot),
+        "controller_model": _robot(loop.equations.model),
+        "law": _value(loop.law) | {"equation": loop.law.equation, "units": dict(loop.law.units)},
+        "reference": _value(loop.ref),
+        "q_start": None if loop.q_start is None else np.asarray(loop.q_start),
+        "hardware": _value(hardware),
+        "surfaces": [_value(x) for x in _surfaces(loop)],
+        "times": np.asarray(times, float),
+        "at": at,
+    }
+    return out | {"python": str(replay(loop, times))}
+
+
+def _surfaces(loop: ClosedLoop) -> list[Environment]:
+    """The surfaces as given: those without a pose lie at the tool's start pose."""
+    given = loop.environment
+    return [] if given is None else [given] if isinstance(given, Environment) else list(given)
+
+
+def _robot(robot: Robot) -> dict[str, Any]:
+    loads = [{"mass": p.mass, "com": p.com, "inertia": p.inertia} for p in robot.payloads]
+    friction = {"viscous": robot.viscous, "coulomb": robot.coulomb}
+    return {"name": robot.name, "tool": robot.tool, "joints": robot.joint_names, "units": robot.joint_units, "payloads": loads, **friction}
+
+
+def _value(given: Any) -> Any:
+    """A dataclass as its class and the arguments that differ from the defaults; anything else as it is."""
+    if isinstance(given, Gain):
+        return given.array
+    if isinstance(given, np.ndarray) or not is_dataclass(given) or isinstance(given, type):
+        return given
+    out = {"class": type(given).__name__}
+    for f in fields(given):
+        value = getattr(given, f.name) if f.init and f.name not in DERIVED else None
+        if isinstance(value, Gain):
+            value = value.array
+        if value is not None and not (np.ndim(value) == 0 and value == f.default):
+            out[f.name] = _value(value)
+    return out
+
+
+# --- tables --------------------------------------------------------------------------------------------------------------
+
+
+def recorded(sections: Iterable[Section]) -> dict[str, tuple[Section, Mapping[str, Any]]]:
+    """Loop -> its section and record, in page order."""
+    out: dict[str, tuple[Section, Mapping[str, Any]]] = {}
+    for section in sections:
+        if KEY in section.numbers and section.loop:
+            out.setdefault(section.loop, (section, section.numbers[KEY]))
+        out |= {name: found for name, found in recorded(section.sections).items() if name not in out}
+    return out
+
+
+def gains_section(sections: Iterable[Section]) -> tuple[Section, ...]:
+    """The gains of every loop: value, unit, law and origin; none without loops."""
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for name, (section, data) in recorded(sections).items():
+        law, origins = data["law"], dict(section.origins)
+        said, why = [], []
+        for gain, unit in law["units"].items():
+            if gain in law:
+                unit = "" if unit == "-" else " " + unit.replace("^2", "²").replace("^3", "³")
+                said.append(f"{gain} = {_values(law[gain])}{unit}")
+                why.append(origins.get(gain, origins.get("", "as given")))
+        cells = (f"{law['class']}, eq. {law['equation']}", "; ".join(said) or "none", "; ".join(dict.fromkeys(why)) or "the law has no gains")
+        rows.setdefault(cells, []).append(name)
+    if not rows:
+        return ()
+    heads = (("Loop", 3.0), ("Law", 2.9), ("Gains", 5.8), ("Where they come from", 3.2))
+    columns = tuple(Column(x, numeric=False, share=share) for x, share in heads)
+    table = Table(
+        "The gains of every loop; one number acts on all channels alike.", columns, tuple((_names(names), *cells) for cells, names in rows.items())
+    )
+    return (Section("Gains", body=(table,), key="gains"),)
+
+
+def _names(names: list[str]) -> str:
+    """Names of loops: what those of one equation share is told once."""
+    heads: dict[str, list[str]] = {}
+    for name in names:
+        head, _, tail = name.partition(", ")
+        heads.setdefault(head, []).append(tail)
+    return "; ".join(f"{head}, {' and '.join(tails)}" if tails != [""] else head for head, tails in heads.items())
+
+
+def _values(value: Any) -> str:
+    a = np.asarray(value, float)
+    if a.ndim == 2 and a.shape[0] == a.shape[1] and np.array_equal(a, np.diag(np.diag(a))):
+        return f"diag{array_words(np.diag(a))}"
+    return array_words(a)
+
+
+def setups_section(sections: Iterable[Section]) -> tuple[Section, ...]:
+    """Arm, model, path, hardware, surfaces and analysis point of every loop: loops that share them in one row."""
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for name, (_, data) in recorded(sections).items():
+        groups.setdefault(_setup(data), []).append(name)
+    if not groups:
+        return ()
+    heads = (("Loops", 3.5), ("Arm and controller's model", 2.5), ("Reference and times", 5.0), ("Hardware and surfaces", 4.5), ("At", 1.5))
+    rows = tuple((_names(names), *cells) for cells, names in groups.items())
+    caption = "The loops as they were analysed. With the gains, each can be rebuilt from here; the JSON has all digits, and the Python code of each."
+    return (
+        Section(
+            "Arms, paths and hardware", body=(Table(caption, tuple(Column(x, numeric=False, share=share) for x, share in heads), rows),), key="setups"
+        ),
+    )
+
+
+def _setup(data: Mapping[str, Any]) -> tuple[str, ...]:
+    plant, model, t = data["robot"], data["controller_model"], data["times"]
+    arm = _arm(plant)
+    same = _arm(model) == arm
+    count = f"{len(t)} times to {written(float(t[-1]), exact=True)} s" if len(t) > 1 else f"t = {written(float(t[0]), exact=True)} s"
+    hardware = _said(data["hardware"]) or "ideal"
+    surfaces = "; ".join(f"surface: {_said(x)}" for x in data["surfaces"])
+    start = "" if data["q_start"] is None else f"; from q = {_values(data['q_start'])}"
+    return (
+        f"{arm}; model {'exact' if same else _arm(model)}",
+        f"{data['reference']['class']}: {_said(data['reference'])}{start}; {count}",
+        "; ".join(x for x in (hardware, surfaces) if x),
+        data["at"],
+    )
+
+
+def _arm(robot: Mapping[str, Any]) -> str:
+    loads = "".join(f" + {written(float(p['mass']), exact=True)} kg at {robot['tool']}" for p in robot["payloads"])
+    return f"{robot['name']}{loads}"
+
+
+def _said(data: Mapping[str, Any]) -> str:
+    """Arguments of a recorded value as text; a pose by its position and its rotation vector."""
+    out = []
+    for name, value in data.items():
+        if name == "class":
+            continue
+        if isinstance(value, Mapping):
+            out.append(f"{name.replace('_', ' ')} {value.get('class', '')} ({_said(value)})")
+        elif isinstance(value, (str, bool)):
+            out.append(f"{name.replace('_', ' ')} {value}")
+        elif np.ndim(value) == 2 and np.shape(value) == (4, 4):
+            out.append(f"{name} at {array_words(np.asarray(value)[:3, 3])} m, turned by {array_words(log6(np.asarray(value))[3:])} rad")
+        else:
+            out.append(f"{name.replace('_', ' ')} {_values(value)}")
+    return ", ".join(out)

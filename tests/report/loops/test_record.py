@@ -1,0 +1,93 @@
+"""A loop rebuilt from the JSON of its report alone has the margins that the report gives, and so has its Python code."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import mfc_analysis as mfc
+from mfc_analysis.report.document.document import Document
+from mfc_analysis.report.loops.record import KEY, gains_section, record, recorded, setups_section
+from mfc_analysis.report.loops.report import loop_document
+from mfc_analysis.report.render.numbers import plain
+from mfc_analysis.report.render.write import rendered
+from tests.report.loops.test_report import LOOPS
+
+NAMESPACES: tuple[Any, ...] = (mfc.laws, mfc.trajectories, mfc)
+
+
+def value(data: Any) -> Any:
+    """A value of the JSON: a class with its arguments, a list as an array."""
+    if isinstance(data, dict) and "class" in data:
+        home = next(space for space in NAMESPACES if hasattr(space, data["class"]))
+        own = {k: value(v) for k, v in data.items() if k not in ("class", "equation", "units")}
+        return getattr(home, data["class"])(**own)
+    return np.array(data) if isinstance(data, list) else data
+
+
+def arm(data: dict[str, Any]) -> mfc.Robot:
+    """The robot of the JSON: by its name, with its friction and payloads."""
+    robot = getattr(mfc.robots, data["name"])()
+    robot = robot.with_friction(np.array(data["viscous"]), np.array(data["coulomb"]))
+    for load in data["payloads"]:
+        robot = robot.with_payload(load["mass"], load["com"], load["inertia"])
+    return robot
+
+
+def rebuilt(data: dict[str, Any]) -> mfc.ClosedLoop:
+    """The loop of a record in the JSON, from gains, arm, path and hardware."""
+    model = None if data["controller_model"] == data["robot"] else arm(data["controller_model"])
+    start = None if data["q_start"] is None else np.array(data["q_start"])
+    surfaces = [value(x) for x in data["surfaces"]] or None
+    return mfc.ClosedLoop(
+        arm(data["robot"]), value(data["law"]), value(data["reference"]), model, surfaces, q_start=start, hardware=value(data["hardware"])
+    )
+
+
+def same_margins(found: dict[str, Any], loop: mfc.ClosedLoop) -> None:
+    """The smallest phase and delay margins of the JSON are those of the loop."""
+    lin = loop.linearize(found[KEY]["times"])
+    for name in ("phase_deg", "delay"):
+        smallest = min(float(np.nanmin(getattr(lin.margins(point), name))) for point in lin.opened.points)
+        given = found["smallest"][name]["value"]
+        assert given == ("infinite" if np.isinf(smallest) else pytest.approx(smallest, rel=1e-9))
+
+
+@pytest.mark.parametrize(
+    "kind", ["velocity, lag", "velocity, dead time", "wrong model, moving", "tool velocity", "force on a surface", "elastic joint"]
+)
+def test_a_loop_rebuilt_from_its_json_has_the_same_margins(kind: str) -> None:
+    loop, times, *_ = LOOPS[kind]()
+    data = json.loads(rendered(loop_document({"one": loop}, times), ("json",))["json"])
+    same_margins(data["sections"][-1]["numbers"], rebuilt(data["sections"][-1]["numbers"][KEY]))
+
+
+def test_the_python_code_of_a_record_builds_the_loop_too() -> None:
+    loop, times, *_ = LOOPS["wrong model, moving"]()
+    made: dict[str, Any] = {}
+    exec(record(loop, times)["python"], made)
+    assert_allclose(made["loop"].linearize(times).A, loop.linearize(times).A, rtol=1e-12)
+
+
+def test_a_record_has_only_what_differs_from_the_defaults_and_no_array_of_a_default() -> None:
+    arm = mfc.robots.slider()
+    loop = mfc.ClosedLoop(arm, mfc.laws.JointPID(25.0, kd=6.0), mfc.trajectories.Hold([0.1]), hardware=mfc.Hardware(delay=1e-3))
+    data = json.loads(json.dumps(plain(record(loop, [0.0], "torque"))))
+    assert data["law"] == {"class": "JointPID", "kp": 25.0, "kd": 6.0, "equation": "9.8", "units": data["law"]["units"]}
+    assert data["hardware"] == {"class": "Hardware", "delay": 1e-3} and data["reference"] == {"class": "Hold", "q": [0.1]}
+    assert (data["at"], data["surfaces"], data["q_start"], data["times"]) == ("torque", [], None, [0.0])
+
+
+def test_gains_and_setups_name_every_loop_and_share_rows_where_they_are_the_same() -> None:
+    loop = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.JointPID(25.0, kd=6.0), mfc.trajectories.Hold([0.1]))
+    document = loop_document({"9.8, a": loop, "9.8, b": loop, "other": mfc.ClosedLoop(loop.robot, mfc.laws.TorqueFeedforward(), loop.ref)})
+    assert list(recorded(document.sections)) == ["9.8, a", "9.8, b", "other"]
+    ((gains,),), ((setups,),) = ([s.body for s in make(document.sections)] for make in (gains_section, setups_section))
+    assert [row[0] for row in gains.rows] == ["9.8, a and b", "other"]
+    assert gains.rows[0][1:] == ("JointPID, eq. 9.8", "kp = 25 Nm/rad; kd = 6 Nm s/rad", "as given") and gains.rows[1][2] == "none"
+    assert setups.rows == (("9.8, a and b; other", "slider; model exact", "Hold: q (0.1); t = 0 s", "ideal", "torque"),)
+    assert gains_section(()) == setups_section(()) == () and Document("t", "s", ()).front == ()
