@@ -170,17 +170,16 @@ def free_note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK,
     taken = [t.get_window_extent() for t in ax.texts]
     sides = (1, -1) if ha == "left" else (-1, 1)
     best: tuple[float, float, float, str] | None = None
-    for step in (1.0, 1.9, 3.0):
+    for step, out in ((1.0, 4.0), (1.9, 4.0), (3.0, 4.0), (1.0, 24.0), (4.5, 4.0), (1.9, 24.0), (1.0, 48.0), (6.0, 4.0), (3.0, 48.0)):
         for rise in (up * step, -up * step, 0.0):
             for side in sides:
-                across = 4.0 if rise else 6.0 * step
+                across = out if rise else 6.0 * step
                 low = x + side * across * points - (wide if side < 0 else 0.0)
                 base = y + rise * points - high / 2
                 if low < box.x0 or low + wide > box.x1 + 2 or base < box.y0 or base + high > box.y1 + 2:
                     continue
-                hit = sum(
-                    int(np.count_nonzero((c[:, 0] > low) & (c[:, 0] < low + wide) & (c[:, 1] > base) & (c[:, 1] < base + high))) for c in curves
-                )
+                inside = [(c[:, 0] > low) & (c[:, 0] < low + wide) & (c[:, 1] > base) & (c[:, 1] < base + high) for c in curves]
+                hit = sum(int(np.count_nonzero(some)) for some in inside)
                 hit += sum(1000 for b in taken if min(b.x1, low + wide) > max(b.x0, low) and min(b.y1, base + high) > max(b.y0, base))
                 if best is None or hit < best[0]:
                     best = (hit, side * across, rise, "left" if side > 0 else "right")

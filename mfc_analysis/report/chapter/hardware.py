@@ -16,7 +16,7 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import POSE, arm, arm_loop
 from mfc_analysis.report.chapter.pieces import LYNCH, agreement, at_least
-from mfc_analysis.report.chapter.smallest_margins import least
+from mfc_analysis.report.chapter.smallest_margins import least, smallest_numbers
 from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Row, Section, Table, written
 from mfc_analysis.report.loops.checks import checks as as_checks, everywhere
 from mfc_analysis.report.loops.record import KEY, record
@@ -225,6 +225,7 @@ def disk_section() -> Section:
     checks = as_checks(everywhere(ASKED.check(loop, [0.0], at="torque").lines, least(lin)), loop=loop)
     numbers = {
         KEY: record(loop, at="torque"),
+        **smallest_numbers(lin),
         "alpha_torque": a,
         "alpha_both": b,
         "phase_one": one.phase_deg[0],

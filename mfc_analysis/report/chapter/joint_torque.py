@@ -13,8 +13,10 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.arms import PAYLOAD, Arm, Designs, arms, decibels, per_joint, triple_pole
 from mfc_analysis.report.chapter.coupling import coupling_figures, coupling_numbers, coupling_table, coupling_words, price
+from mfc_analysis.report.chapter.force import tiny
 from mfc_analysis.report.chapter.pages import loop_page
 from mfc_analysis.report.chapter.pieces import at_most
+from mfc_analysis.report.chapter.velocity import ERROR_OF_RUNS
 from mfc_analysis.report.document.document import (
     Block,
     Cell,
@@ -48,7 +50,12 @@ def shared(pages: list[Section], body: tuple[Block, ...], full: bool) -> dict[st
     """Body, loops and folding of a section whose arms have a page each, or share one: then with the figures and tables of the last arm."""
     if full:
         return {"body": body, "sections": tuple(pages)}
-    return {"body": (*body, *pages[-1].body), "sections": tuple(replace(page, body=()) for page in pages), "folded": True}
+    figures = Paragraph(f"The figures and tables below are those of the {arms()[-1].name}.")
+    return {
+        "body": (*body, figures, *(b for b in pages[-1].body if not isinstance(b, KeyFacts))),
+        "sections": tuple(replace(page, body=()) for page in pages),
+        "folded": True,
+    }
 
 
 # --- 9.8 -------------------------------------------------------------------------------------------------------------------
@@ -126,7 +133,7 @@ def open_loop(designs: Designs, full: bool = True) -> Section:
                 arm.name,
                 Number(right),
                 Number(float(np.log(2) / right) if right > 1e-9 else np.inf, infinite="–"),
-                Number(own),
+                Number(tiny(own, ERROR_OF_RUNS)),
                 Number(grown),
                 Number(grown / OFFSET),
             )
@@ -140,7 +147,7 @@ def open_loop(designs: Designs, full: bool = True) -> Section:
                 said=("initial error 0.05 rad", "no initial error"),
             ),
             f"Open loop: with an initial error of {written(OFFSET, exact=True)} rad the error reaches {written(grown)} rad, without it"
-            f" {written(own)} rad.",
+            f" {written(tiny(own, ERROR_OF_RUNS))} rad.",
             f"Errors of {view.name}: up to {written(grown)} rad.",
         )
         said = (

@@ -42,12 +42,17 @@ def force_facts(lin: Linearization) -> KeyFacts:
     )
 
 
+def smallest_numbers(lin: Linearization) -> dict[str, object]:
+    """The smallest margins over all analysis points with their places, by name."""
+    return {"smallest": {name: asdict(found) for name, found in least(lin).items()}}
+
+
 def margin_numbers(lin: Linearization) -> dict[str, object]:
     """The smallest margins over all analysis points with their places, and those at the force sensor's z, by name."""
     m = lin.margins("force")
     names = ("phase_deg", "gain_increase", "gain_reduction", "delay", "sensitivity_peak", "crossover")
     return {
-        "smallest": {name: asdict(found) for name, found in least(lin).items()},
+        **smallest_numbers(lin),
         "force": {name: float(getattr(m, name)[0, 2]) for name in names},
     }
 

@@ -15,7 +15,7 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import POSE, arm, tiny
 from mfc_analysis.report.chapter.pieces import LYNCH, SICILIANO, at_most, in_words, poles_table, response, validated
-from mfc_analysis.report.chapter.smallest_margins import least, tightest
+from mfc_analysis.report.chapter.smallest_margins import least, smallest_numbers, tightest
 from mfc_analysis.report.document.document import Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, Text, written
 from mfc_analysis.report.loops.checks import checks as as_checks, everywhere
 from mfc_analysis.report.loops.record import KEY, record
@@ -96,6 +96,7 @@ def velocity_section(full: bool = True) -> Section:
         "poles": lin.poles()[0],
         "validation": validated(loop, 1.0),
         KEY: record(loop, at="command"),
+        **smallest_numbers(lin),
     }
     return Section(
         "Tool velocity control: 9.5",
@@ -301,6 +302,7 @@ def torque_section(full: bool = True) -> Section:
     checks = as_checks(everywhere(ASKED.check(real, t, at="torque").lines, least(lin)), loop=real)
     numbers = {
         KEY: record(real, t, "torque"),
+        **smallest_numbers(lin),
         "times": t,
         "polynomial_departure": away,
         "phase_deg": {p: m.phase_deg for p, m in at.items()},

@@ -12,12 +12,13 @@ import numpy as np
 from mfc_analysis import plots
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.arms import NAMES, Arm, Designs, Polynomial, arms, per_joint
+from mfc_analysis.report.chapter.force import tiny
 from mfc_analysis.report.chapter.pages import loop_page
 from mfc_analysis.report.chapter.pieces import agreement
 from mfc_analysis.report.document.document import Column, Equation, Figure, Number, Section, Table, written
 from mfc_analysis.report.loops.view import View
 
-SETTLING = 1e-6  #: [rad] error of a run that is over: rounding
+ERROR_OF_RUNS = 1e-5  #: [rad] error of a simulation; smaller errors are shown as 0
 SLOPE, BEND, SETTLED = 0.2, 0.1, 8.0  #: [rad/s] of the ramp, [rad/s^2] of the parabola, [s] after which an error counts as settled
 OFFSET, DISTURBANCE = 0.05, 0.01  #: [rad] initial error; [rad/s] velocity disturbance
 
@@ -69,7 +70,7 @@ def summary(designs: Designs) -> Section:
                 NAMES[equation],
                 "slow (0)" if free else Number(view.evidence.slowest_root().value),
                 *(Number(math.nan if free else float(x.min()) * k, undefined="no feedback") for x, k in ((m.phase_deg, 1.0), (m.delay, 1e3))),
-                *(Number(x if abs(x) > SETTLING else 0.0) for x in away.values()),
+                *(Number(tiny(x, ERROR_OF_RUNS)) for x in away.values()),
             )
         )
         found[equation] = away | {"phase": float(m.phase_deg.min()), "delay": float(m.delay.min())}
@@ -308,7 +309,7 @@ def _compared(designs: Designs) -> Figure:
     arm = arms()[0]
     runs: dict[str, Any] = {e: designs.loop(e, arm).simulate(np.linspace(0.0, 4.0, 161)) for e in ("9.2", "9.3", "9.4")}
     errors = np.column_stack([run.error[:, 0] for run in runs.values()])
-    peaks = ", ".join(f"{e} {written(float(np.abs(x).max()))} rad" for e, x in zip(runs, errors.T, strict=True))
+    peaks = ", ".join(f"{e} {written(tiny(float(np.abs(x).max()), ERROR_OF_RUNS))} rad" for e, x in zip(runs, errors.T, strict=True))
     return Figure(
         partial(plots.traces, np.linspace(0.0, 4.0, 161), (plots.Panel("error [rad]", errors),), tuple(runs)),
         f"Error of the single joint on its path under three laws: at most {peaks}.",

@@ -17,7 +17,7 @@ from mfc_analysis.report.document.document import Number, Scrubber, Trace, writt
 
 Element = ElementTree.Element
 
-_W1, _W2, _H = 330.0, 350.0, 290.0  # [pt] widths of the two drawings and their height
+_W1, _W2, _H = 232.0, 248.0, 215.0  # [pt] widths of the two drawings and their height
 _MOST = 121  # most times kept for the page
 _INK, _GRID, _GREY, _SHADE, _LINE, _DOT, _LIMIT = "#000000", "#d5d9de", "#6b7280", "#fbeee4", "#0072b2", "#c44e00", "#3d444d"
 

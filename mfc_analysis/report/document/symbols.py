@@ -5,10 +5,10 @@ from __future__ import annotations
 from mfc_analysis.report.document.document import Math, Symbol
 
 _JOINT = (
-    ("q, q_d", "joint positions, actual and desired", "rad or m"),
-    ("e = q_d - q", "joint error", "rad or m"),
+    ("q, q_d", "joint positions, actual and desired", "rad (sliding: m)"),
+    ("e = q_d - q", "joint error", "rad (sliding: m)"),
     ("z", "integral of the error", "rad s"),
-    ("tau", "joint torques", "Nm or N"),
+    ("tau", "joint torques", "Nm (sliding: N)"),
     ("M(q), hat(M)", "mass matrix of the plant and of the controller's model", "kg m²"),
     ("h(q, dot(q))", "Coriolis, centrifugal, gravity and viscous terms", "Nm"),
     ("g(q)", "gravity", "Nm"),

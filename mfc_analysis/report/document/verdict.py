@@ -162,7 +162,7 @@ def matrix(document: Document, keys: dict[int, str]) -> Matrix | None:
         last = (_cell(others, keys, others[1].label if others else ""),) if rare else ()
         found = (*(_cell(row.get(name), keys, unit=shared.get(name)) for name in names), *last)
         rows.append((loop, keys[id(next(iter(every.values()))[0])], found))
-    heads = tuple(f"{name} [{shared[name]}]" if shared.get(name) else name for name in names) + (("other checks",) if rare else ())
+    heads = tuple(f"{_head(name)} [{shared[name]}]" if shared.get(name) else _head(name) for name in names) + (("other checks",) if rare else ())
     return Matrix("All loops and all requirements; a value without a word passes. Each cell links to its evidence.", heads, tuple(rows))
 
 
@@ -185,7 +185,7 @@ def folded(section: Section) -> Table:
     for c in sorted((c for s in loops if not s.shown for c in s.checks), key=lambda c: _place_in_order(c.label)):
         first.setdefault(c.label, c)
     columns = [Column("Loop", numeric=False), Column("Result", numeric=False)]
-    columns += [Column(f"{label} {limit_of(c)}" if c.asked else label, "" if c.asked else c.unit, numeric=False) for label, c in first.items()]
+    columns += [Column(f"{label} {limit_of(c)}" if c.asked else _head(label), "" if c.asked else c.unit, numeric=False) for label, c in first.items()]
     rows = []
     for one in loops:
         found = {c.label: c for c in one.checks if not one.shown or c.name == "stable"}
@@ -197,6 +197,11 @@ def folded(section: Section) -> Table:
 def _at(check: Line) -> str:
     """The value found with its place; without where there is no limit to it."""
     return f"{found_of(check)}{' ' + check.place if check.place and np.isfinite(check.found) else ''}"
+
+
+def _head(label: str) -> str:
+    """The head of a column: of stability, what its number is."""
+    return "rightmost pole" if label == "stable" else label
 
 
 def _place_in_order(label: str) -> int:

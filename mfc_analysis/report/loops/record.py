@@ -17,6 +17,7 @@ from mfc_analysis.report.loops.parameters import array_words
 from mfc_analysis.requirements.replay import DERIVED, replay
 
 if TYPE_CHECKING:
+    from mfc_analysis.laws.law import Law
     from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.robots.robot import Robot
 
@@ -36,7 +37,8 @@ def record(loop: ClosedLoop, times: ArrayLike = (0.0,), at: str = "") -> dict[st
     out = {
         "robot": _robot(loop.robot),
         "controller_model": _robot(loop.equations.model),
-        "law": _value(loop.law) | {"equation": loop.law.equation, "units": dict(loop.law.units)},
+        "law": _value(loop.law) | {"equation": loop.law.equation},
+        "gains": {name: {"value": value, "unit": _unit(loop.law.units.get(name, ""))} for name, value in _gains(loop.law).items()},
         "reference": _value(loop.ref),
         "q_start": None if loop.q_start is None else np.asarray(loop.q_start),
         "hardware": _value(hardware),
@@ -45,6 +47,16 @@ def record(loop: ClosedLoop, times: ArrayLike = (0.0,), at: str = "") -> dict[st
         "at": at,
     }
     return out | {"python": str(replay(loop, times))}
+
+
+def _gains(law: Law) -> dict[str, Any]:
+    """The gains of a law, and its desired wrench."""
+    out = {name: np.asarray(gain.array) for name, gain in law.gains().items() if gain}
+    return out | ({} if law.desired_wrench is None else {"F_d": np.asarray(law.desired_wrench)})
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "-" else unit.replace("^2", "²").replace("^3", "³")
 
 
 def _surfaces(loop: ClosedLoop) -> list[Environment]:
@@ -68,6 +80,10 @@ def _value(given: Any) -> Any:
     out = {"class": type(given).__name__}
     for f in fields(given):
         value = getattr(given, f.name) if f.init and f.name not in DERIVED else None
+        system = getattr(given, "system", None) if f.name == "outer" else None
+        if system is not None:  # an LTI outer loop
+            out[f.name] = dict(zip("ABCD", (np.asarray(M) for M in system), strict=True))
+            continue
         if isinstance(value, Gain):
             value = value.array
         if value is not None and not (np.ndim(value) == 0 and value == f.default):
@@ -93,12 +109,8 @@ def gains_section(sections: Iterable[Section]) -> tuple[Section, ...]:
     rows: dict[tuple[str, ...], list[str]] = {}
     for name, (section, data) in recorded(sections).items():
         law, origins = data["law"], dict(section.origins)
-        said, why = [], []
-        for gain, unit in law["units"].items():
-            if gain in law:
-                unit = "" if unit == "-" else " " + unit.replace("^2", "²").replace("^3", "³")
-                said.append(f"{gain} = {_values(law[gain])}{unit}")
-                why.append(origins.get(gain, origins.get("", "as given")))
+        said = [f"{gain} = {_values(found['value'])} {found['unit']}".rstrip() for gain, found in data["gains"].items()]
+        why = [origins.get(gain, origins.get("", "as given")) for gain in data["gains"]]
         cells = (f"{law['class']}, eq. {law['equation']}", "; ".join(said) or "none", "; ".join(dict.fromkeys(why)) or "the law has no gains")
         rows.setdefault(cells, []).append(name)
     if not rows:
@@ -122,6 +134,7 @@ def _names(names: list[str]) -> str:
 
 def _values(value: Any) -> str:
     a = np.asarray(value, float)
+    a = a.reshape(()) if a.size == 1 else a
     if a.ndim == 2 and a.shape[0] == a.shape[1] and np.array_equal(a, np.diag(np.diag(a))):
         return f"diag{array_words(np.diag(a))}"
     return array_words(a)

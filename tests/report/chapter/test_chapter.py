@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
+import subprocess
 from functools import partial
 
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from mfc_analysis.plots import figure as sheet
 from mfc_analysis.report.chapter import chapter, joint_torque, velocity
 from mfc_analysis.report.chapter.arms import Designs, arms
 from mfc_analysis.report.document.document import Badge, Document
-from mfc_analysis.report.document.tree import tree
+from mfc_analysis.report.document.tree import every_block, tree
 from mfc_analysis.report.document.verdict import verdict
 from mfc_analysis.report.render.write import rendered
 from mfc_analysis.requirements.line import Status
+from tests.plots.overlaps import texts_on_texts
 from tests.plots.test_figure import texts
+from tests.report.loops.test_record import rebuilt, same_margins
+from tests.report.render.test_pdf import words
 
 LOOP = "9.8 independent PID, planar 2R"
 
@@ -128,3 +135,90 @@ def test_no_text_leaves_its_sheet_in_the_figures_of_the_chapter(which, request, 
                 inside = box.x0 > -0.5 and box.y0 > -0.5 and box.x1 < whole.width + 0.5 and box.y1 < whole.height + 0.5
                 assert inside, f"{said!r} in {drawing.alt}"
             monkeypatch.undo()
+
+
+# --- the report that `mfc-analysis report` writes -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def whole() -> Document:
+    return chapter.chapter_document()
+
+
+@pytest.fixture(scope="module")
+def written(whole):
+    pages = rendered(whole, ("pdf", "json"))
+    return pages["pdf"], json.loads(pages["json"])
+
+
+def test_every_loop_rebuilt_from_the_json_has_the_margins_of_the_report(written):
+    loops = {s["loop"]: s["numbers"] for s in sections_of(written[1]) if s["loop"] and "loop" in s["numbers"]}
+    named = {s["loop"] for s in sections_of(written[1]) if s["loop"]}
+    assert set(loops) == named and len(loops) >= 22
+    for found in loops.values():
+        same_margins(found, rebuilt(found["loop"]))
+
+
+def test_the_gains_of_every_loop_stand_in_front_with_their_units_and_origin(written):
+    gains = next(s for s in written[1]["sections"] if s["id"] == "gains")["tables"][0]["rows"]
+    said = " ".join(row[0] for row in gains)
+    for name in {s["loop"] for s in sections_of(written[1]) if s["loop"]}:
+        assert name in said or (name.partition(", ")[0] in said and name.partition(", ")[2] in said), name
+    nine = next(row for row in gains if row[0].startswith("9.10 computed torque"))
+    assert nine[2] == "kp = 192 1/s²; ki = 512 1/s³; kd = 24 1/s" and "triple pole at −8 rad/s" in nine[3]
+
+
+def test_the_headline_counts_requirements_only(whole, written):
+    data = written[1]
+    asked = [c for s in sections_of(data) if not s["shown"] for c in s["checks"]]
+    met = sum(c["status"] == "PASS" for c in asked)
+    assert data["verdict"]["sentence"].startswith(f"{met} of {len(asked)} requirements are met")
+    assert all("deviation" not in c["name"] and "simulated" not in c["name"] for c in asked)
+    assert {s["status"] for s in sections_of(data)} <= {"PASS", "WATCH", "FAIL", "DEMO", "CONFIRMED", "INFO"}
+    demos = {s["id"] for s in data["sections"] if s["status"] == "DEMO"}
+    assert {"eq-9-9", "free-space", "hybrid-damping", "floquet", "misprints", "misprints-tool"} <= demos
+
+
+def test_the_report_has_at_most_28_pages_and_each_is_at_least_half_used(written, tmp_path):
+    if shutil.which("pdftoppm") is None:
+        pytest.skip("pdftoppm is not installed")
+    (tmp_path / "chapter.pdf").write_bytes(written[0])
+    subprocess.run(["pdftoppm", "-r", "20", "-gray", str(tmp_path / "chapter.pdf"), str(tmp_path / "p")], check=True, capture_output=True)
+    used = [used_part(path.read_bytes()) for path in sorted(tmp_path.glob("p-*.pgm"))]
+    assert len(used) <= 28
+    assert not [(k + 1, round(x, 2)) for k, x in enumerate(used[:-1]) if x < 0.5]
+
+
+def used_part(picture: bytes) -> float:
+    """The part of the body of a page (PGM, 20 dots per inch) that lies within 8 mm of ink."""
+    _, size, _, rest = picture.split(b"\n", 3)
+    width, height = map(int, size.split())
+    ink = (np.frombuffer(rest, np.uint8)[: width * height].reshape(height, width) < 200).any(axis=1)
+    body = ink[int(0.06 * height) : int(0.94 * height)]
+    near = np.convolve(body, np.ones(13), "same") > 0
+    return float(near.mean())
+
+
+def test_no_rounding_error_no_doubled_unit_and_no_infinite_distance_is_printed(written):
+    said = words(written[0])
+    for bad in (r"(?<!≤ )\b\d[\d.]*e−1\d", "rad or m", "minus infinit", r"wrong \[", "down to 0", "Join…", r"\bnan\b", "\\{"):
+        assert not re.search(bad, said), (bad, re.search(f".*{bad}.*", said))
+    lags = [c for s in sections_of(written[1]) for c in s["checks"] if c["name"].startswith("lag")]
+    assert (
+        lags and {c["unit"] for c in lags} == {"rad"} and not any(c["name"] == "error at rest" for s in sections_of(written[1]) for c in s["checks"])
+    )
+    assert said.count("Sources") == 1 and "payload unknown" in json.dumps(written[1])
+
+
+def test_text_in_figures_has_8_points_in_print_and_lies_on_nothing(whole, monkeypatch):
+    flat = tree(whole)
+    widths = {}
+    with matplotlib.rc_context(sheet.settings()):
+        for key, drawing in flat.figures.items():
+            figure = sheet.figure_of(drawing.draw())
+            widths[key] = 72 * figure.get_figwidth()
+            assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()) >= 8, drawing.alt
+            assert not texts_on_texts(figure, monkeypatch), drawing.alt
+    for block in every_block(flat.root["sections"]):
+        row = block["figures"] if block["k"] == "row" else [block] if block["k"] == "figure" else []
+        assert sum(widths[f["id"]] for f in row) + 8 * (len(row) - 1) <= 17.2 * 72 / 2.54, row  # else it is made smaller

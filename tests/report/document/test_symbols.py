@@ -30,7 +30,7 @@ def test_no_letter_stands_twice_and_each_has_a_meaning(tool: bool, force: bool) 
 
 
 @pytest.mark.parametrize(("letter", "unit"), [
-    ("q, q_d", "rad or m"), ("tau", "Nm or N"), ("a_q", "rad/s²"), ('"PM"', "°"), ("M_s", ""), ("omega_n, zeta", "rad/s, –"),
+    ("q, q_d", "rad (sliding: m)"), ("tau", "Nm (sliding: N)"), ("a_q", "rad/s²"), ('"PM"', "°"), ("M_s", ""), ("omega_n, zeta", "rad/s, –"),
     ('F_"tip", F_d', "N, Nm"), ('K_"fp", K_"fi"', "–, 1/s"), ('K_"damp"', "Ns/m"), ('k_"env"', "N/m"), ("V_b", "m/s, rad/s"),
 ])  # fmt: skip
 def test_units_are_those_of_the_chapter(letter: str, unit: str) -> None:
