@@ -77,7 +77,7 @@ def _value(given: Any) -> Any:
         return given.array
     if isinstance(given, np.ndarray) or not is_dataclass(given) or isinstance(given, type):
         return given
-    out = {"class": type(given).__name__}
+    out: dict[str, Any] = {"class": type(given).__name__}
     for f in fields(given):
         value = getattr(given, f.name) if f.init and f.name not in DERIVED else None
         system = getattr(given, "system", None) if f.name == "outer" else None
