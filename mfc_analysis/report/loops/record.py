@@ -111,7 +111,11 @@ def gains_section(sections: Iterable[Section]) -> tuple[Section, ...]:
         law, origins = data["law"], dict(section.origins)
         said = [f"{gain} = {_values(found['value'])} {found['unit']}".rstrip() for gain, found in data["gains"].items()]
         why = [origins.get(gain, origins.get("", "as given")) for gain in data["gains"]]
-        cells = (f"{law['class']}, eq. {law['equation']}", "; ".join(said) or "none", "; ".join(dict.fromkeys(why)) or "the law has no gains")
+        cells = (
+            f"{law['class']}, {'eq. ' if law['equation'][:1].isdigit() else ''}{law['equation']}",
+            "; ".join(said) or "none",
+            "; ".join(dict.fromkeys(why)) or "the law has no gains",
+        )
         rows.setdefault(cells, []).append(name)
     if not rows:
         return ()
