@@ -9,6 +9,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Generator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 KEY = "mfc_records"  #: key in xdist's ``workeroutput``
 FORMATS = "html,pdf,json"
+MARK = "mfc_requirement"  #: marker of a test: the id of its requirement, and why it is required
+ORIGIN = ("author", "revision", "date")  #: options that say who made a report, of what and when
+MOST_RELIEFS = 20  #: failures for which is searched what would make them pass
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -27,10 +31,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("mfc-analysis")
     group.addoption("--mfc-report", metavar="DIR", default=None, help="write a verification report of every loop asserted in this run into DIR")
     group.addoption("--mfc-report-formats", metavar="LIST", default=FORMATS, help=f"some of {FORMATS} (default: all)")
+    for name in ORIGIN:
+        group.addoption(f"--mfc-report-{name}", metavar="TEXT", default="", help=f"{name} that the verification report names")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Registers the collector if a report is requested. A wrong folder or format stops pytest before the tests."""
+    """Registers the marker, and the collector if a report is requested. A wrong folder or format stops pytest before the tests."""
+    config.addinivalue_line("markers", f"{MARK}(id, rationale=''): the requirement that a test verifies, for the verification report")
     folder = config.getoption("--mfc-report")
     if folder is None:
         return
@@ -55,6 +62,8 @@ class Collector:
         self.lost: list[str] = []
         self.written: dict[str, Path] = {}
         self.test = ""
+        self.marked = ("", "")  #: id and rationale of the requirement of the running test
+        self.failed: dict[tuple[str, int], Asserted] = {}
         self.stack = ExitStack()
 
     # --- while tests run -----------------------------------------------------------------------------------------
@@ -70,17 +79,23 @@ class Collector:
         from mfc_analysis.report.verification import record
 
         number = sum(r.test == self.test for r in self.records)
-        self.records.append(record(asserted, self.test, number))
+        made = record(asserted, self.test, number)
+        self.records.append(replace(made, requirement=self.marked[0], rationale=self.marked[1]))
+        if not asserted.passed:
+            self.failed[self.test, number] = asserted
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, Any, Any]:
         """Keeps the name of the running test; a repeated test replaces its earlier records."""
         self.test = item.nodeid
+        mark = item.get_closest_marker(MARK)
+        self.marked = ("", "") if mark is None else (str(next(iter(mark.args), "")), str(mark.kwargs.get("rationale", "")))
         self.records = [r for r in self.records if r.test != self.test]
+        self.failed = {key: x for key, x in self.failed.items() if key[0] != self.test}
         try:
             return (yield)
         finally:
-            self.test = ""
+            self.test, self.marked = "", ("", "")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Records the outcome of each test; a failure of any phase counts. On xdist's controller outcomes come from the workers."""
@@ -103,14 +118,26 @@ class Collector:
     def pytest_sessionfinish(self) -> None:
         """A worker passes its records on; any other process writes the report."""
         self.stack.close()
+        self.relieve()
         if self.worker:
             self.config.workeroutput[KEY] = pickle.dumps(self.records)  # type: ignore[attr-defined]  # an attribute of xdist
         elif self.records or self.lost:
             from mfc_analysis.report import render
-            from mfc_analysis.report.verification import verification_document, with_outcomes
+            from mfc_analysis.report.verification import Origin, verification_document, with_outcomes
 
-            document = verification_document(with_outcomes(self.records, self.outcomes), self.lost, "pytest --mfc-report=DIR")
+            origin = Origin(*(str(self.config.getoption(f"--mfc-report-{name}")) for name in ORIGIN))
+            document = verification_document(with_outcomes(self.records, self.outcomes), self.lost, "pytest --mfc-report=DIR", origin)
             self.written = render(document, self.folder, self.formats)
+
+    def relieve(self) -> None:
+        """Searches what would make the failures pass that no test expected, in the process that has their loops."""
+        if not self.failed:
+            return
+        from mfc_analysis.report.verification import relief
+
+        wanted = [key for key in self.failed if self.outcomes.get(key[0]) == "failed"][:MOST_RELIEFS]
+        found = {key: relief(self.failed[key]) for key in wanted}
+        self.records = [replace(r, relief=found[r.test, r.number]) if (r.test, r.number) in found else r for r in self.records]
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Lists the files written."""

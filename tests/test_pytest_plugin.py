@@ -106,6 +106,27 @@ def test_known_bad():
     assert "expected" in json.dumps(found["test_arm.py::test_known_bad"])
 
 
+def test_a_marker_names_the_requirement_and_a_failure_says_what_would_make_it_pass(run):
+    result, report = run(
+        """
+@pytest.mark.mfc_requirement("REQ-7", rationale="the tool must not ring")
+def test_late():
+    late = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.VelocityP(5.0), mfc.trajectories.Hold([0.3]), hardware=mfc.Hardware(delay=0.2))
+    assert_margins(late, phase_deg=45)
+
+def test_a_good_one():
+    assert_margins(velocity_p(), phase_deg=45)
+""",
+        "--strict-markers", "--mfc-report-author=A. Author", "--mfc-report-revision=r42", "--mfc-report-date=2026-11-27",
+    )  # fmt: skip
+    result.assert_outcomes(failed=1, passed=1)
+    assert [s["title"] for s in report["sections"]] == ["Requirements and their tests", "test_arm.py::test_late", "test_arm.py::test_a_good_one"]
+    late = report["sections"][1]["numbers"]
+    assert (late["requirement"], late["rationale"]) == ("REQ-7", "the tool must not ring")
+    assert late["would_pass"][0]["name"] == "dead time" and late["would_pass"][0]["limit"].startswith("0.1571 s")
+    assert report["subtitle"].endswith("by A. Author, r42, 2026-11-27") and report["provenance"]["items"]["date"] == "2026-11-27"
+
+
 def test_all_formats_are_written_and_validation_is_evidence_too(run, pytester):
     result, report = run("\ndef test_model():\n    assert_validated(velocity_p(), 0.5)\n", formats="html,pdf,json")
     result.assert_outcomes(passed=1)

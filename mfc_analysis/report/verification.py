@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -30,13 +30,34 @@ from mfc_analysis.report.document.document import (
 from mfc_analysis.report.document.provenance import provenance
 from mfc_analysis.report.loops.checks import checks
 from mfc_analysis.requirements.line import Line, Status
+from mfc_analysis.requirements.requirements import Requirements
 
 if TYPE_CHECKING:
     from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.design.searches import Limit
+    from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.requirements.requirements import Verdict
     from mfc_analysis.testing import Asserted
 
 POLES = 8  #: number of poles shown, slowest first
+
+
+class Relief(NamedTuple):
+    """A quantity whose change alone would make a failed assertion pass."""
+
+    name: str
+    given: str
+    limit: str  #: the value at which the requirements are just met
+    why: str  #: what is missed beyond it, or why there is no value
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Who made a verification report, of what revision and when; "" where nothing was given."""
+
+    author: str = ""
+    revision: str = ""
+    date: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +80,9 @@ class Record:
     late: bool  #: whether these are the roots with dead time
     numbers: Mapping[str, float]
     outcome: str = ""  #: of the test: "passed", "failed", ...; empty while it runs
+    requirement: str = ""  #: its id, if the test gives one
+    rationale: str = ""  #: why it is required, if the test says so
+    relief: tuple[Relief, ...] = ()  #: of a failure: what would make it pass
 
 
 def record(asserted: Asserted, test: str, number: int) -> Record:
@@ -109,14 +133,68 @@ def with_outcomes(records: Sequence[Record], outcomes: Mapping[str, str]) -> lis
     return sorted(done, key=lambda r: (r.test, r.number))
 
 
-def verification_document(records: Sequence[Record], lost: Sequence[str] = (), command: str = "") -> Document:
-    """The document of a test run.
+def relief(asserted: Asserted) -> tuple[Relief, ...]:
+    """What would make a failed assertion pass: the limits of payload, dead time, sample rate, wall and bandwidth at which it just does.
 
-    An assertion that failed in a test that passed (an expected failure) is shown, but does not count.
+    Each is varied alone, from its value in the loop towards easier ones; what the loop does not have is not varied. Empty for an assertion
+    without requirements.
+    """
+    from mfc_analysis import design
+    from mfc_analysis.design.edges import Judge, requirement_limit
+
+    verdict, loop = asserted.verdict, asserted.loop
+    if verdict is None or asserted.passed:
+        return ()
+    asked = {line.name: line.asked for line in asserted.lines if line.name not in ("stable", "residual")}
+    requirements = Requirements.from_mapping(asked | {"horizon": verdict.evidence.horizon})
+    hardware, held = loop.equations.hardware, sum(float(p.mass) for p in loop.robot.payloads)
+    how: dict[str, Any] = {"requirements": requirements, "at": verdict.at, "times": verdict.times}
+    tries: list[tuple[str, str, Callable[[], Limit]]] = []
+    if held:
+        tries.append(("payload", f"{held:.4g} kg", lambda: design.max_payload(loop, **how)))
+    if hardware.delay:
+        tries.append(("dead time", f"{hardware.delay:.4g} s", lambda: design.max_delay(loop, **how)))
+    if hardware.sample_time:
+        tries.append(("sample rate", f"{1 / hardware.sample_time:.4g} 1/s", lambda: design.min_sample_rate(loop, **how)))
+    if loop.equations.surfaces:
+        tries.append(("stiffness of the wall", "as given", lambda: design.max_stiffness(loop, **how)))
+    powers = _POWERS.get(loop.law.plant, {}) if loop.law.desired_wrench is None else {}
+    gains = {name: gain.array for name, gain in loop.law.gains().items() if gain and name in powers}
+    if gains and set(gains) == {name for name, gain in loop.law.gains().items() if gain} and set(gains) <= set(loop.law.parameters()):
+
+        def scaled(x: float) -> ClosedLoop:
+            return replace(loop, law=loop.law.changed(**{name: array * x ** powers[name] for name, array in gains.items()}))
+
+        judge = Judge(requirements, verdict.times, verdict.at)
+        tries.append(("bandwidth of the gains", "1 (as given)", lambda: requirement_limit(scaled, "bandwidth", 1.0, judge, lower=0.02, upper=50.0)))
+    out = []
+    for name, given, search in tries:
+        try:
+            found = search()
+        except MfcError as why:
+            out.append(Relief(name, given, "not found", str(why)))
+            continue
+        value = held + float(found) if name == "payload" else float(found)
+        unit = "times" if name.startswith("bandwidth") else found.unit
+        limit = f"{value:.4g} {unit}" if found.outcome.name == "FOUND" else "no value" if found.outcome.name == "NOWHERE" else "no limit"
+        out.append(Relief(name, given, limit, found.binds))
+    return tuple(out)
+
+
+#: power of the natural frequency in each gain, by what the law commands
+_POWERS: dict[str, dict[str, float]] = {"torque": {"kp": 2.0, "ki": 3.0, "kd": 1.0}, "velocity": {"kp": 1.0, "ki": 2.0}}
+
+
+def verification_document(records: Sequence[Record], lost: Sequence[str] = (), command: str = "", origin: Origin | None = None) -> Document:
+    """The document of a test run: failures first, then the others in the order of the tests' names.
+
+    An assertion that failed in a test that passed (an expected failure) is shown as a DEMO, and does not count.
 
     Args:
         records: of all assertions. lost: names of processes that did not report their assertions. command: for the provenance.
+        origin: author, revision and date, where they are given.
     """
+    records = sorted(records, key=lambda r: (r.passed or not _counts(r), r.test, r.number))
     several = {r.test for r in records if r.number > 0}
     sections = tuple(_section(r, f"{r.test}, assertion {r.number + 1}" if r.test in several else r.test) for r in records)
     if lost:
@@ -125,12 +203,46 @@ def verification_document(records: Sequence[Record], lost: Sequence[str] = (), c
     tests = len({r.test for r in records})
     failed = sum(not r.passed for r in records)
     subtitle = f"{len(records)} assertion{'s' * (len(records) != 1)} on loops in {tests} test{'s' * (tests != 1)}; {failed} failed"
-    return Document("Verification report", subtitle, sections, "verification", _scope(records), provenance(command))
+    given = origin or Origin()
+    settings = {name: said for name, said in (("author", given.author), ("revision", given.revision)) if said}
+    said = ", ".join(x for x in (f"by {given.author}" if given.author else "", given.revision, given.date) if x)
+    made = provenance(command, settings=settings, date=given.date)
+    title = f"{subtitle}; {said}" if said else subtitle
+    return Document("Verification report", title, sections, "verification", _scope(records), made, front=_traced(records))
+
+
+def _counts(r: Record) -> bool:
+    """Whether a failure counts: not where its test passed, because it was expected."""
+    return r.outcome != "passed"
+
+
+def _traced(records: Sequence[Record]) -> tuple[Section, ...]:
+    """Requirement by requirement: id, rationale, tests and result; none without ids."""
+    by_id: dict[str, list[Record]] = {}
+    for r in records:
+        if r.requirement:
+            by_id.setdefault(r.requirement, []).append(r)
+    if not by_id:
+        return ()
+    rows = []
+    for name, some in by_id.items():
+        missed = any(not r.passed and _counts(r) for r in some)
+        why = "; ".join(dict.fromkeys(r.rationale for r in some if r.rationale))
+        rows.append((name, Status.FAIL if missed else Status.PASS, why, "; ".join(dict.fromkeys(r.test for r in some))))
+    heads = (("Requirement", 2.0), ("Result", 1.2), ("Rationale", 4.0), ("Tests", 5.0))
+    columns = tuple(Column(head, numeric=False, share=share) for head, share in heads)
+    return (Section("Requirements and their tests", body=(Table("Every requirement with an id.", columns, tuple(rows)),), key="traced"),)
 
 
 def _section(r: Record, name: str) -> Section:
-    unexpected = not r.passed and r.outcome != "passed"
+    unexpected = not r.passed and _counts(r)
     body: list[Block] = [Paragraph(("Loop: ", Mono(r.loop)))]
+    if r.requirement:
+        body.append(Paragraph(f"Requirement {r.requirement}{': ' + r.rationale if r.rationale else ''}."))
+    if unexpected and r.relief:
+        heads = ("Varied alone", "As given", "Would pass up to", "Why")
+        columns = tuple(Column(head, numeric=False) for head in heads)
+        body.append(Table("What would make it pass: the limits at which the requirements are just met.", columns, tuple(map(tuple, r.relief))))
     if r.notes:
         body.append(Bullets(tuple(note[:1].upper() + note[1:] + "." for note in r.notes)))
     body += _margins(r)
@@ -141,6 +253,8 @@ def _section(r: Record, name: str) -> Section:
     body += [Paragraph("Code that reproduces the assertion:"), Code(r.replay)]
     numbers: dict[str, Any] = {"test": r.test, "assertion": r.what, "passed": r.passed, "outcome": r.outcome, "times": r.times, "at": r.at}
     numbers |= {"asked": dict(r.asked), **r.numbers} | _numbers(r.margins)
+    numbers |= {"requirement": r.requirement, "rationale": r.rationale} if r.requirement else {}
+    numbers |= {"would_pass": [x._asdict() for x in r.relief]} if r.relief else {}
     return Section(
         name, _finding(r), tuple(body), r.checks, numbers=numbers, loop=name, shown="" if r.passed or unexpected else "the test expects this failure"
     )
@@ -174,10 +288,11 @@ def _margins(r: Record) -> list[Block]:
 def _poles(r: Record) -> list[Block]:
     if r.poles is None or not len(r.poles):
         return []
-    rows = tuple((k + 1, complex(p)) for k, p in enumerate(r.poles))
+    once = [complex(p) for p in r.poles if p.imag >= 0 or not np.isclose(r.poles, np.conj(p)).any()]  # a pair once
+    rows = tuple((k + 1, p) for k, p in enumerate(once))
     what = "rightmost characteristic roots, dead time included exactly," if r.late else "slowest closed-loop poles"
     head = Column("Root", "1/s") if r.late else Column("Pole", "1/s or z")
-    return [Table(f"The {len(r.poles)} {what} at the worst time.", (Column("No."), head), rows)]
+    return [Table(f"The {len(rows)} {what} at the worst time; a pair once.", (Column("No."), head), rows)]
 
 
 def _numbers(m: Margins | None) -> dict[str, Any]:

@@ -153,7 +153,7 @@ class _Builder:
 
     def _section(self, section: s.Section, level: int) -> dict[str, Any]:
         key = self.keys[id(section)]
-        asked: tuple[s.Block, ...] = (judged.requirements(section),) if section.checks and not section.shown else ()
+        asked: tuple[s.Block, ...] = (judged.requirements(section),) if section.checks else ()
         if section.folded and any(x.checks and not x.shown for x in section.sections):
             asked = (*asked, judged.folded(section))
         blocks = [self._block(b) for b in (*asked, *section.body)]
