@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.laws.gain import Gain
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import log6
 from mfc_analysis.report.document.document import Column, Section, Table, written
 from mfc_analysis.report.loops.parameters import array_words
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.robots.robot import Robot
 
+MOST_NUMBERS = 60  #: of one argument that are written in a table
 KEY = "loop"  #: of the record among the numbers of a section
 
 
@@ -39,7 +41,7 @@ def record(loop: ClosedLoop, times: ArrayLike = (0.0,), at: str = "") -> dict[st
         "controller_model": _robot(loop.equations.model),
         "law": _value(loop.law) | {"equation": loop.law.equation},
         "gains": {name: {"value": value, "unit": _unit(loop.law.units.get(name, ""))} for name, value in _gains(loop.law).items()},
-        "reference": _value(loop.ref),
+        "reference": _value(loop.ref) if is_dataclass(loop.ref) else {"class": type(loop.ref).__name__},
         "q_start": None if loop.q_start is None else np.asarray(loop.q_start),
         "hardware": _value(hardware),
         "surfaces": [_value(x) for x in _surfaces(loop)],
@@ -137,9 +139,15 @@ def _names(names: list[str]) -> str:
 
 
 def _values(value: Any) -> str:
-    a = np.asarray(value, float)
+    """Numbers as text; only their count where there are many, and what is no number by its own words."""
+    try:
+        a: Array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        return " ".join(str(value).split())
     a = a.reshape(()) if a.size == 1 else a
-    if a.ndim == 2 and a.shape[0] == a.shape[1] and np.array_equal(a, np.diag(np.diag(a))):
+    if a.size > MOST_NUMBERS:
+        return f"{' × '.join(map(str, a.shape))} numbers (in the JSON)"
+    if a.ndim == 2 and a.shape[0] == len(a[0]) and np.array_equal(a, np.diag(np.diag(a))):
         return f"diag{array_words(np.diag(a))}"
     return array_words(a)
 

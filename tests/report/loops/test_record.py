@@ -85,6 +85,19 @@ def test_a_record_has_only_what_differs_from_the_defaults_and_no_array_of_a_defa
     assert (data["at"], data["surfaces"], data["q_start"], data["times"]) == ("torque", [], None, [0.0])
 
 
+def test_a_reference_of_ones_own_is_named_and_many_numbers_are_counted() -> None:
+    class Own(mfc.trajectories.Hold):
+        """Not of this package."""
+
+    arm = mfc.robots.slider()
+    law = mfc.laws.JointPID(25.0, kd=6.0)
+    long = mfc.trajectories.Waypoints(np.linspace(0, 1, 70), np.linspace(0, 1, 70)[:, None])
+    found = loop_document([mfc.ClosedLoop(arm, law, ref) for ref in (Own([0.1]), long)])
+    own, many = [s.body for s in setups_section(found.sections)][0][0].rows
+    assert own[2].startswith("Own") and "70 numbers (in the JSON)" in many[2] and "70 × 1 numbers" in many[2]
+    json.dumps(plain(record(mfc.ClosedLoop(arm, law, Own([0.1])))), allow_nan=False)
+
+
 def test_gains_and_setups_name_every_loop_and_share_rows_where_they_are_the_same() -> None:
     loop = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.JointPID(25.0, kd=6.0), mfc.trajectories.Hold([0.1]))
     document = loop_document({"9.8, a": loop, "9.8, b": loop, "other": mfc.ClosedLoop(loop.robot, mfc.laws.TorqueFeedforward(), loop.ref)})
