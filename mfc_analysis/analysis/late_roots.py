@@ -18,6 +18,7 @@ from mfc_analysis.maths.arrays import Array, Complex, Ints, on_axis
 LONGEST = 2000  #: [samples] longest additional dead time at which a crossing is sought of a curve that does not reach all fractions
 NEWTON = 12  #: steps
 SAME = 1e-9  #: [samples] a crossing this close to the present dead time is the loop itself
+NONE = np.log(1e-3)  #: log of the loop gain at all closed poles, below which a channel is never lost
 DIRECT = 1e-6  #: relative change of Y at a whole number of samples that is a jump,
 FINE, ARC, HALVINGS = 12, 60, 40  #: frequencies a sample of dead time, angles on the arc, along which such a loop is judged, and their halvings
 
@@ -140,6 +141,8 @@ def jumped(loop: Shifted, theta: Array, radius: float, best: tuple[Array, Array]
                 cases = np.full(p.size, point), np.full(p.size, channel), np.exp(log_z)
                 return log_z, loop.at(*cases, np.zeros(p.size))[0], loop.sensitivity(*cases)
 
+        if log_ratio(np.maximum(theta[point] - radius, 0))[1].real.max() < NONE:  # rounding of a channel without a loop
+            continue
         along = np.union1d(np.linspace(0, np.pi - radius, int(FINE * (last + 1))), np.maximum(theta[point] - radius, 0))
         p = np.concatenate([np.linspace(-1, 0, ARC)[:-1] if radius > 0 else np.zeros(0), along])
         log_z, log, U = log_ratio(p)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import mfc_analysis as mfc
+from mfc_analysis.analysis import late_roots
 from mfc_analysis.analysis.margins import margins
 from mfc_analysis.analysis.sampled import sampled
 from tests.analysis.test_sampled import loop
@@ -96,3 +97,16 @@ def test_margins_requirements_and_the_search_agree() -> None:
         for factor, stable in ((1 - 1e-6, True), (1 + 1e-6, False)):
             late = velocity_p(k, h, delay=(delay or 0.0) + margin * factor)
             assert late.linearize([0.0]).stable.all() == stable
+
+
+def test_a_channel_without_a_loop_is_not_searched_sample_by_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wall along z gives fx and fy of an admittance a loop of 1e-15: rounding, and no dead time loses it."""
+    monkeypatch.setattr(late_roots, "FINE", None)  # of the search
+    arm, q = mfc.robots.ur5(), np.radians([0.0, -60.0, 80.0, -110.0, -90.0, 0.0])
+    law = mfc.laws.Admittance([0, 0, 20.0, 0, 0, 0], 60.0, 3700.0)
+    drives = mfc.Hardware(sample_time=8e-3, servo=mfc.Servo(bandwidth=mfc.hertz(8), damping=0.7, delay=16e-3))
+    made = mfc.ClosedLoop(
+        arm, law, mfc.trajectories.ToolHold(arm.pose(q)), q_start=q, environment=mfc.Environment(2e4, axes="z", preload=20.0), hardware=drives
+    )
+    found = made.linearize([0.0]).margins("force").delay[0]
+    assert np.isinf(found[:2]).all() and 0.1 < found[2] < 1.0
