@@ -19,7 +19,7 @@ from mfc_analysis.report.render.write import FORMATS, Progress, render
 
 ROOM = "mfc_analysis.report.chapter"
 #: the modules of the chapter, in order; each has ``sections(full=...) -> tuple[Section, ...]``
-PARTS = ("velocity", "joint_torque", "task", "constraints", "force", "hybrid", "stiffness", "hardware", "misprints", "errata")
+PARTS = ("velocity", "joint_torque", "task", "constraints", "force", "hybrid", "stiffness", "hardware", "beyond", "misprints", "errata")
 LONGEST_FIRST = ("joint_torque", "stiffness", "hardware", "task", "hybrid")  #: two processes share these better than in the order of the pages
 TOOL, FORCE = ("task",), ("constraints", "force", "hybrid", "stiffness")
 

@@ -84,7 +84,7 @@ def _value(given: Any) -> Any:
         value = getattr(given, f.name) if f.init and f.name not in DERIVED else None
         system = getattr(given, "system", None) if f.name == "outer" else None
         if system is not None:  # an LTI outer loop
-            out[f.name] = dict(zip("ABCD", (np.asarray(M) for M in system), strict=True))
+            out[f.name] = {**dict(zip("ABCD", (np.asarray(M) for M in system), strict=True)), "dt": given.sample_time or 0.0}
             continue
         if isinstance(value, Gain):
             value = value.array
