@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dgebal
+from scipy.linalg import get_lapack_funcs
 
 from mfc_analysis.analysis.delay.stacked import Stacked, perron
 from mfc_analysis.analysis.system import OpenSystem, close_wires
@@ -127,9 +127,10 @@ def delayed_points(system: OpenSystem) -> list[Delayed]:
     """Each point of the loop with the delayed wires cut."""
     late = system.wire_delay > 0
     A, B, C, D = close_wires(system, keep=late)
+    (balance,) = get_lapack_funcs(("gebal",), (A,))
     points = []
     for i in range(len(A)):
         a, b, c = A[i], B[i][:, system.nu :], C[i][system.ny :]
-        balanced, _, _, scale, _ = dgebal(a, scale=1, permute=0)
+        balanced, _, _, scale, _ = balance(a, scale=1, permute=0)
         points.append(Delayed(balanced, b / scale[:, None], c * scale, D[i][system.ny :, system.nu :], system.wire_delay[late], scale, system.dt))
     return points

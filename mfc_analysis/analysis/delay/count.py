@@ -33,7 +33,7 @@ FROM_POLES = 2.5  #: times 1 - that gain and the distance from the poles of G: t
 NARROW = 1e-10  #: relative step at which a root lies on the contour
 LADDER = 12  #: first samples in a decade, where there are no others
 NUDGES = (1.0, 1 + 3e-4, 1 - 3e-4)  #: factors of the radius, tried in turn where a root lies on the circle
-AROUND = np.array([-3.0, -1.0, -0.3, 0.3, 1.0, 3.0])  #: first samples around a pole, in units of its distance from the axis; never on a pole
+AROUND = np.array([-1.0, 1.0])  #: first samples around a pole, in units of its distance from the axis; never on a pole
 LEAST = 1e-3  #: of that distance, as a fraction of its modulus
 
 Found = TypeVar("Found")

@@ -239,8 +239,8 @@ def _peaks(point: Sensitivities, some: Ints, w: Array, H: Complex, peak: Array, 
         lower = np.maximum(height[each, k], np.abs(1 + expected)) + 10 * off < highest[owner[todo], channel[todo]]
         going = ~(lower | (off <= SAME * np.abs(1 + there)) | (b - a <= 1e-8 * b))
         left, right = np.maximum(k - 1, 0), np.minimum(k + 1, NODES.size)
-        a, b, Ha, Hb = (each_[going] for each_ in (x[each, left], x[each, right], known[each, left], known[each, right]))
-        todo = todo[going]
+        todo, each, left, right = (ints[going] for ints in (todo, each, left, right))
+        a, b, Ha, Hb = x[each, left], x[each, right], known[each, left], known[each, right]
     order = np.argsort(best, kind="stable")  # of several values the last one written, the highest, stays
     order = order[best[order] > peak[some[row[order]], channel[order]]]
     into = some[row[order]], channel[order]

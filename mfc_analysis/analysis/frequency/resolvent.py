@@ -56,11 +56,12 @@ class Resolvent:
             gap = 1 / (s[self.modal, None, :] - self.poles[self.modal, :, None])
             H[self.modal] = self.residues[self.modal] @ gap + self.ch.H0[self.modal, :, None]
         B, H0, rate = self._driven()
+        n, rates = B.shape[2], rate.any()
         for i in np.flatnonzero(~self.modal):
             places, which = np.unique(s[i], return_inverse=True)
-            X = _solved(self.ch.A[i], places, np.concatenate([B[i], rate[i]], axis=1))
-            n = B.shape[2]
-            X = X[:, :, :n] + places[:, None, None] * X[:, :, n:]
+            X = _solved(self.ch.A[i], places, np.concatenate([B[i], rate[i]], axis=1) if rates else B[i])
+            if rates:
+                X = X[:, :, :n] + places[:, None, None] * X[:, :, n:]
             H[i] = np.einsum("nx,kxn->nk", self.ch.C[i], X)[:, which] + H0[i, :, None]
         return H
 

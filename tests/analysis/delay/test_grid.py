@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from mfc_analysis.analysis.delay.grid import between, room
+from mfc_analysis.analysis.delay.grid import apart, between, room
 
 
 def test_steps_are_divided_into_equal_ones_of_at_most_the_step():
@@ -25,3 +25,16 @@ def test_there_is_room_for_the_values_of_each_row():
     empty, column = room(np.array([0, 0, 2]), np.array([[1.0], [2.0], [3.0]]))
     assert_allclose(empty, [[1, 1], [2, 2], [3, 3]])
     assert column.tolist() == [0, 1, 0]
+
+
+def test_of_poles_that_are_alike_one_is_left():
+    poles = np.array([[-1.0, -1.02, -1 + 50j, -1 - 50j, np.nan, -0.99], [-1e-6 + 3j, -1e-6 + 3.001j, -2.0, -2.0, -2.0, -2.0]], complex)
+    found = apart(poles)
+    assert found.shape == (2, 3)
+    assert np.isin(found, poles).all()
+    assert_allclose(np.sort(found[0].imag), [-50, 0, 50])
+    assert_allclose(np.sort(found[1].imag), [0, 3, 3.001])
+
+
+def test_where_there_is_no_pole_there_is_nothing_to_choose():
+    assert apart(np.zeros((2, 3), complex)).shape == (2, 1)

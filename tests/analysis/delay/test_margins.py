@@ -174,3 +174,19 @@ def test_the_gain_reduction_of_a_loop_with_a_huge_gain_has_its_digits():
     found = mfc.margins(K * (s**2 + 2 * s + 1.5) / s**3, delay=T)
     assert found.gain_reduction.item() == pytest.approx(-1 / loop(w).real, rel=3e-9)
     assert found.reduction_frequency.item() == pytest.approx(w, rel=3e-9)
+
+
+def test_of_many_maxima_of_nearly_the_same_height_the_highest_is_the_sensitivity_peak():
+    """Dead time makes them; a fine grid finds none that is higher."""
+    rng = np.random.default_rng(1)
+    wires = int(rng.integers(1, 4))
+    T = 10 ** rng.uniform(-3, 0, wires)
+    system = replace(random_loops(rng, 4, int(rng.integers(wires, 7)), wires), wire_delay=T)
+    (at,) = system.points
+    found = margins(system, at)
+    assert found.stable.any()
+    for i in np.flatnonzero(found.stable):
+        S = sensitivities(system.at(np.array([i])), at, np.geomspace(system.radius, 30 / T.min(), 20_000))
+        size = np.abs(np.einsum("kii->ki", S)).max(axis=0)
+        assert np.all(found.sensitivity_peak[i] >= size * (1 - 1e-12))
+        assert_allclose(found.sensitivity_peak[i], np.maximum(size, 1), rtol=1e-4)
