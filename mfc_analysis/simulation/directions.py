@@ -2,7 +2,8 @@
 
 To second order a disturbance c of size 1 moves the joints by ``first @ c + c @ second @ c``, so the misfit of the linear model grows with
 the size by rms(c @ second @ c) / rms(first @ c). Its largest values over a box of disturbances cost no simulation. At the size of the radius
-higher orders count too: from these maxima a pattern search climbs the misfit of the nonlinear ``response``, many directions at once.
+higher orders may count too: where the misfit of the nonlinear ``response`` is not that of the second order, a pattern search climbs it from these
+maxima, many directions at once.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ FOLLOWED = 0.75  #: of the starts: those whose response the steps can follow
 WORST = 1.0  #: misfit from which on directions count as equally bad
 NOTHING = 1e-9  #: misfit for each unit of size that is rounding
 FAR = 1e60  #: [rad, m] response beyond which there is no second order
+SECOND = 0.1  #: of the largest misfit: where no misfit differs by more from that to second order, its maxima are the worst directions
 SAME = 0.98  #: cosine of two directions that count as one
 
 
@@ -83,15 +85,18 @@ def candidates(e: Equations, base: Simulation, basis: Array, seed: int) -> list[
     out = [(reach, sign * c) for reach, c in ranked[:MAXIMA] for sign in (1.0, -1.0)]
     if found is not None:
         signed = [sign * c for _, c in ranked[:CLIMBED] for sign in (1.0, -1.0)]
-        out = _climbed(e, base, basis, np.array([*signed, *(_on_box(c, n) for c in starts)]), MISFIT * ranked[0][0]) + out
+        worst = _climbed(e, base, basis, found, np.array([*signed, *(_on_box(c, n) for c in starts)]), MISFIT * ranked[0][0])
+        out = worst + [one for one in out if not any(np.array_equal(one[1], c) for _, c in worst)]
     out += [(np.inf, c) for c in _first_limits(e, base, basis)]
     return [Candidate(basis @ c, reach) for reach, c in out]
 
 
-def _climbed(e: Equations, base: Simulation, basis: Array, starts: Array, size: float) -> list[tuple[float, Array]]:
-    """Directions (k,) with a larger misfit than the best of the ``starts`` (m, k), and the sizes at which it would be 1.
+def _climbed(e: Equations, base: Simulation, basis: Array, second: SecondOrder, starts: Array, size: float) -> list[tuple[float, Array]]:
+    """Directions (k,) with the largest misfits of the nonlinear response, the best of the ``starts`` (m, k) or better, and the sizes at which it
+    would be 1.
 
-    Pattern search in the box. The misfit is that at the radius of the worst direction so far, from ``size`` on.
+    Where the second order gives the misfits of the starts, its maxima are among them and nothing is climbed. Else pattern search in the box. The
+    misfit is that at the radius of the worst direction so far, from ``size`` on.
     """
     k, n, size = basis.shape[1], e.n, min(size, 1.0)
 
@@ -108,9 +113,11 @@ def _climbed(e: Equations, base: Simulation, basis: Array, starts: Array, size: 
         worst = misfits(starts)
         if (worst >= 0).mean() >= FOLLOWED:
             break
-    c = starts[np.argsort(-worst, kind="stable")[: max(2, CLIMBERS * STEPS_ALONG[0] // steps)]]  # the more steps, the fewer directions
+    off = np.where(worst >= 0, np.abs(worst - size * np.exp(second.ratios(starts))), np.inf).max()
+    some = np.argsort(-worst, kind="stable")[: max(2, CLIMBERS * STEPS_ALONG[0] // steps)]  # the more steps, the fewer directions
+    c, worst = starts[some], worst[some]
     moved_none = 0.0  #: the last step that moved no direction
-    for step in PATTERN:
+    for step in PATTERN if off > SECOND * worst.max() else ():
         if worst.max() < NOTHING:
             return []
         if step == moved_none:
@@ -149,15 +156,16 @@ class SecondOrder:
 
         lead = int(np.argmax(np.abs(start[:joints])))
         bounds = [(start[lead], start[lead]) if i == lead else (-1.0, 1.0) for i in range(start.size)]
-        c, reached = start, -np.inf
+        c = start
         while True:
             found = minimize(self._loss, c, jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": 60})
-            if not -found.fun > reached + 1e-6:
-                return reached, c
             c, reached = np.asarray(found.x, float), float(-found.fun)
             flipped = c * (1 - 2 * np.eye(c.size))
             flipped[lead] = c
-            c = flipped[int(np.argmax(self.ratios(flipped)))]
+            gains = self.ratios(flipped)
+            if not gains.max() > reached + 1e-6:
+                return reached, c
+            c = flipped[int(np.argmax(gains))]
 
     def _loss(self, c: Array) -> tuple[float, Array]:
         linear, row = self.first @ c, self.second @ c

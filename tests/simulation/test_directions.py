@@ -12,8 +12,10 @@ from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.simulation import directions
 from mfc_analysis.simulation.directions import MAXIMA, SAMPLES, SecondOrder, candidates, scaled_basis, second_order
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
+from mfc_analysis.simulation.response import STEPS, Response
 from mfc_analysis.simulation.simulation import Simulation
 from mfc_analysis.trajectories import Hold
 from tests.conftest import arm, moving, plant, regular_pose
@@ -86,6 +88,19 @@ def test_candidates_lie_in_the_box_the_worst_first_with_both_signs() -> None:
     for candidate in found:
         c = np.linalg.solve(basis, candidate.direction)
         assert np.abs(c[:6]).max() == pytest.approx(1.0) and np.abs(c).max() <= 1 + 1e-9
+
+
+def test_where_the_second_order_gives_the_misfits_nothing_is_climbed_and_nothing_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 9.10 with a wrong model the misfits of the starts are within a tenth of those to second order, and the search finds the same radius."""
+    robot = robots.load("kinova")
+    loop = ClosedLoop(robot.with_payload(2.0), L.ComputedTorque(100, 100, 20), Hold([0.3, 2.6, 2.0, 1.1, 2.5, 0.9]), controller_model=robot)
+    calls, misfits = [], Response.misfits
+    monkeypatch.setattr(Response, "misfits", lambda self, starts: calls.append(len(starts)) or misfits(self, starts))
+    found, number = loop.validate(0.05), len(calls)
+    monkeypatch.setattr(directions, "SECOND", 0.0)
+    searched = loop.validate(0.05)
+    assert number <= len(STEPS) < len(calls) - number
+    assert found.radius == pytest.approx(searched.radius, rel=0.01)
 
 
 def test_a_torque_limit_and_a_surface_that_can_be_left_give_their_own_candidates() -> None:
