@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.environment import Environment
-from mfc_analysis.dynamics.hardware import Hardware
+from mfc_analysis.dynamics.hardware import Hardware, Servo
 from mfc_analysis.errors import MfcError
 from mfc_analysis.laws.constraints import ConstraintSet
 from mfc_analysis.laws.gain import Gain
@@ -105,7 +105,7 @@ def _home(given: Any) -> str:
     from mfc_analysis import laws, trajectories
 
     name = type(given).__name__
-    if isinstance(given, (Environment, Hardware)):
+    if isinstance(given, (Environment, Hardware, Servo)):
         return f"mfc.{name}"
     for module, prefix in ((laws, "mfc.laws"), (trajectories, "mfc.trajectories")):
         if getattr(module, name, None) is type(given):

@@ -61,6 +61,17 @@ def loops():
             q_start=Q,
             environment=[surface, mfc.Environment(500.0, axes="z")],
         ),
+        "impedance": mfc.ClosedLoop(
+            ur5, laws.Impedance(np.full(6, 300.0), 30.0, inertia=2.0, F_d=[0, 0, 5, 0, 0, 0]), tr.Hold(Q), environment=surface
+        ),
+        "plain impedance": mfc.ClosedLoop(ur5, laws.Impedance(300.0, 30.0, feedforward=False), tr.Hold(Q)),
+        "admittance behind a servo": mfc.ClosedLoop(
+            ur5,
+            laws.Admittance([0, 0, 5, 0, 0, 0], inertia=4.0, damping=300.0, stiffness=[200.0, 200, 0, 20, 20, 20]),
+            tr.Hold(Q),
+            environment=surface,
+            hardware=mfc.Hardware(servo=mfc.Servo(50.0, np.linspace(0.6, 0.9, 6), 0.01), force_deadband=0.5, velocity_limit=np.ones(6)),
+        ),
         "planar": mfc.ClosedLoop(mfc.robots.planar_2r(), laws.TorqueFeedforward(form="printed"), tr.Quintic([0.1, 0.2], [0.5, 0.4], 1.0)),
     }
 
