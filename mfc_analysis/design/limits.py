@@ -171,7 +171,7 @@ def min_sample_rate(
 
     t, judge = _asked(loop, times, requirements, at)
     if judge is not None:
-        fastest = max(1 / high, max(hardware.delay or 0.0, hardware.force_delay or 0.0) / MOST_IN_TRANSIT)
+        fastest = max(1 / high, max(hardware.command_delay, hardware.force_delay or 0.0) / MOST_IN_TRANSIT)
         return requirement_limit(
             sampled, "sample_time", hardware.sample_time or 0.0, judge, lower=fastest, upper=1 / low, progress=progress, n_jobs=n_jobs
         )

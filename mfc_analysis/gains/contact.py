@@ -208,7 +208,7 @@ class _Chain(NamedTuple):
             x = a + math.hypot(a, 1.0) if a > 0 else 1 / (math.hypot(a, 1.0) - a)
             w = self.servo / math.sqrt(x)
             out = np.polymul(out, [1 / w**2, 2 * self.servo_damping / w, 1.0])
-        return np.asarray(np.trim_zeros(out, "f"))
+        return np.asarray(np.trim_zeros(out, "f"), float)
 
     def H(self, s: complex) -> complex:
         return cmath.exp(-s * self.delay) / complex(np.polyval(self.den, s))

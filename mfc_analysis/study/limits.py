@@ -188,7 +188,7 @@ def _varied(one: StudyLoop, quantity: str, given: list[ClosedLoop]) -> tuple[Loo
         "delay": hardware.delay or 0.0,
         "sample_time": hardware.sample_time or 0.0,
     }[quantity])  # fmt: skip
-    late = max(hardware.delay or 0.0, hardware.force_delay or 0.0) / MOST_IN_TRANSIT
+    late = max(hardware.command_delay, hardware.force_delay or 0.0) / MOST_IN_TRANSIT
     longest = LATEST if not hardware.sample_time else min(LATEST, 100 * hardware.sample_time)
     ends = {"payload": (0.0, HEAVIEST), "delay": (0.0, max(longest, 2 * start)), "sample_time": (max(1 / FASTEST, late), SLOWEST)}[quantity]
     ranged = quantity in table.ranges.given()

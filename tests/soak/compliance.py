@@ -68,7 +68,7 @@ def judged(name: str, label: str, loop: mfc.ClosedLoop) -> tuple[bool, str]:
     good = found.error < 1e-7 and abs(found.order - 2.0) <= 0.05
     ref = loop.ref if loop.environment is None else mfc.trajectories.Hold(regular_pose(name))
     exact = mfc.ClosedLoop(arm(name), loop.law, ref, environment=loop.environment, hardware=loop.hardware)
-    run = exact.validate(time=0.04 if loop.equations.delayed else 0.02, size=2e-3)
+    run = exact.validate(time=0.02, size=2e-3)
     order = run.taylor_order
     good &= bool(np.isinf(order) or abs(order - 2.0) <= 0.05)
     return good, f"Jacobian {found.error:.1e}, order {found.order:.3f}; prediction {order:.3f} {run.message}"

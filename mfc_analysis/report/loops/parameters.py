@@ -51,7 +51,11 @@ def the_loop(view: View) -> Section:
         contact = ' + J_b^top F_"tip"' if view.loop.equations.surfaces else ""
         body.append(Equation(f"M(q) dot.double(q) + h(q, dot(q)){contact} = tau", "equation of motion", "9.19" if contact else "9.7"))
     else:
-        body.append(Equation("dot(q) = u", "the joints follow the commanded velocity"))
+        servo = view.loop.equations.hardware.servo
+        source, words = "dot(q) = u", "the joints follow the commanded velocity"
+        if servo is not None:
+            source, words = "dot.triple(q) + 2 zeta_s w_s dot.double(q) + w_s^2 dot(q) = w_s^2 u", "the servo of the arm makes the commanded velocity"
+        body.append(Equation(source, words))
     body += parameters(view)
     return Section("The loop and its parameters", body=tuple(body))
 
@@ -63,7 +67,10 @@ def diagram(view: View) -> Figure:
     name = type(law).__name__
     chain: list[tuple[str, str]] = []
     if "command" in points:
-        chain += [("error\nfeedback", "command"), ("inverse\ndynamics" if law.plant == "torque" else "inverse\nJacobian", law.plant)]
+        chain += [
+            ("error\nfeedback" if law.in_chapter() else name, "command"),
+            ("inverse\ndynamics" if law.plant == "torque" else "inverse\nJacobian", law.plant),
+        ]
     else:
         chain.append((f"{name}\n({law.numbered()})", law.plant if law.plant in points else ""))
     between = [
@@ -82,7 +89,7 @@ def diagram(view: View) -> Figure:
     if view.loop.equations.surfaces:
         chain.append(("surface", ""))
     back = next((p for p in ("force", "position") if p in points), "")
-    wanted = (["X_d"] if law.space == "tool" else []) + (["F_d"] if hasattr(law, "F_d") else [])
+    wanted = (["X_d"] if law.space == "tool" else []) + (["F_d"] if law.desired_wrench is not None else [])
     reference = ", ".join(wanted) or "q_d"
     output = "q, v" if law.plant == "torque" else "q"
     others = ", ".join(points)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mfc_analysis as mfc
-from mfc_analysis.report.document.document import Table
+from mfc_analysis.report.document.document import Equation, Table
 from mfc_analysis.report.loops import parameters
 from mfc_analysis.report.loops.view import View
 from tests.report.loops.views import PUSH, H, L, T, joint, links, planar, pushing, view
@@ -30,6 +30,16 @@ def test_every_piece_of_hardware_is_told_with_its_number() -> None:
     for value in given.values():
         assert f"{value:g}" in said and f"{value:g}" not in ideal
     assert all(f"{value:g} N" in cells(pushing()) for value in (1000.0, PUSH[2]))
+
+
+def test_the_servo_and_the_sensor_are_told_and_a_law_outside_the_chapter_has_no_number() -> None:
+    hardware = H(servo=mfc.Servo(47.0, 0.71, 0.013), velocity_limit=0.83, force_limit=61.0, force_deadband=1.7)
+    law = L.Admittance(np.zeros(6), 4.0, 80.0, axes="z")
+    found = view(mfc.ClosedLoop(mfc.robots.slider(), law, T.Hold([0.0]), environment=mfc.Environment(1e3), hardware=hardware))
+    said = cells(found)
+    assert all(word in said for word in ("bandwidth 47 rad/s (-3 dB), damping 0.71, dead time 0.013 s", "0.83 m/s", "61 N", "1.7 N"))
+    equations = [block for block in parameters.the_loop(found).body if isinstance(block, Equation)]
+    assert [block.number for block in equations] == ["", ""] and "admittance" in equations[0].alt and "servo" in equations[1].alt
 
 
 def test_anti_windup_is_told() -> None:

@@ -93,6 +93,26 @@ LOOPS = {
         ),
         [0.0],
     ),
+    "impedance on a surface": lambda: (
+        mfc.ClosedLoop(
+            mfc.robots.slider(),
+            L.Impedance(500.0, 40.0, axes="z"),
+            T.Hold([0.0]),
+            environment=mfc.Environment(1e3, axes="z"),
+            hardware=H(torque_lag=5e-3),
+        ),
+        [0.0],
+    ),
+    "admittance behind a servo": lambda: (
+        mfc.ClosedLoop(
+            mfc.robots.slider(),
+            L.Admittance(FORCE, 4.0, 80.0, axes="z"),
+            T.Hold([0.0]),
+            environment=mfc.Environment(1e3, 0.0, axes="z", preload=5.0),
+            hardware=H(servo=mfc.Servo(50.0, 0.7, 0.01), sample_time=5e-3),
+        ),
+        [0.0],
+    ),
 }
 
 
