@@ -107,7 +107,7 @@ class NearSingular(MfcError, ValueError):
         when = "" if time is None else f" at t = {time:.4g} s"
         super().__init__(
             f"the Jacobian of frame {frame!r} is nearly singular{when}: smallest singular value {sigma_min:.3g}, condition number {condition:.3g}; "
-            "move the path away from the singularity, or give the law damping="
+            "move the path away from the singularity, or give the law damping= (an impedance or admittance: inverse_damping=)"
         )
 
     def at(self, time: float | None) -> NearSingular:

@@ -162,6 +162,11 @@ class JointImpedance(JointLaw):
         if not self.inertia:
             without_sensor(self)
 
+    @property
+    def joint_by_joint(self) -> bool:
+        """False with an inertia: the measured force reaches all joints."""
+        return not self.inertia
+
     def act(self, model: Primitives, now: Measured, ref: JointReference, tap: Tap) -> Action:
         """tau = K e + D e' + M^ a_d + h^, or M^ (a_d + M_d^-1 (K e + D e' - J^T F)) + J^T F + h^."""
         q, v, e = now.q, now.v, ref.q - now.q

@@ -197,6 +197,17 @@ def test_a_shaped_joint_shows_its_inertia() -> None:
     close(loop.linearize().A[0], [0.7, 20.0, 1800.0])
 
 
+def test_joint_by_joint_it_is_a_spring_and_a_damper_on_each_effective_inertia() -> None:
+    K, D, q = each(6, 300.0), each(6, 20.0), regular_pose("ur5")
+    robot = arm("ur5").with_friction(viscous=0.0)
+    loop = ClosedLoop(robot, L.JointImpedance(K, D), Hold(q))
+    found = loop.linearize().decentralised().poles()[0]
+    for roots, m, d, k in zip(found, np.diag(robot.mass(q)), D, K, strict=True):  # the weight is compensated
+        assert_allclose(np.poly(roots), [1, d / m, k / m], rtol=1e-9)
+    with pytest.raises(Unsupported):
+        replace(loop, law=L.JointImpedance(K, D, 2.0)).linearize().decentralised()
+
+
 # --- statics and signs -------------------------------------------------------------------------------------------------------
 
 
