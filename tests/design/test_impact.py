@@ -15,7 +15,7 @@ import mfc_analysis as mfc
 from mfc_analysis.design import impact
 from mfc_analysis.design.impact import Impact, at_the_touch
 from mfc_analysis.errors import BadArgument, UnknownName
-from tests.conftest import regular_pose
+from tests.conftest import Case, named, regular_pose
 
 M, K = 2.0, 1e4
 NOTHING, PRESS = np.zeros(6), np.array([0, 0, 5.0, 0, 0, 0])
@@ -105,6 +105,28 @@ def test_without_a_bounce_it_settles_as_the_linear_loop_does() -> None:
     assert found.peak[0, 0] == pytest.approx(F.max(), rel=1e-4)
     late = t[np.flatnonzero(np.abs(F - 5.0) > 0.25)[-1] + 1]
     assert found.settling[0, 0] == pytest.approx(late, abs=3e-3)
+
+
+@pytest.mark.parametrize(("form", "inertia"), [("standard", 1.0), ("printed", 2.0)])
+def test_an_arm_meets_steel_with_the_mass_that_it_shows_along_the_normal(form: str, inertia: float) -> None:
+    """1/(J M^-1 J^T)_zz; under the printed 9.9, which has the q'' of the arm in its torque, the inertia is M + M^: twice as much."""
+    robot, q, k, v = mfc.robots.ur5(), regular_pose("ur5"), 1e6, 0.05
+    J = robot.jacobian(q)
+    mass = 1 / (J @ np.linalg.inv(robot.mass(q)) @ J.T)[2, 2]
+    wall = mfc.Environment(k, axes="z", preload=3.0, one_sided=True)
+    loop = mfc.ClosedLoop(robot, mfc.laws.TorqueFeedforward(form), mfc.trajectories.Hold(q), environment=wall)
+    found = impact(loop, [v], duration=0.02)
+    assert found.peak[0, 0] == pytest.approx(v * np.sqrt(k * mass * inertia), rel=1e-2) and found.bounces[0, 0] == 1
+
+
+@pytest.mark.parametrize("case", named("9.8", "9.10 standard", "9.16 null", "9.22", "9.24 dynamic standard", "impedance shaped"), ids=str)
+def test_every_kind_of_law_meets_a_surface(case: Case) -> None:
+    robot, q = mfc.robots.ur5(), regular_pose("ur5")
+    wall = mfc.Environment(1e6, axes="z", preload=3.0, one_sided=True)
+    found = impact(mfc.ClosedLoop(robot, case.law(6), mfc.trajectories.Hold(q), environment=wall), [0.05], duration=0.02)
+    J = robot.jacobian(q)
+    free = 0.05 * np.sqrt(1e6 / (J @ np.linalg.inv(robot.mass(q)) @ J.T)[2, 2])
+    assert 0.7 * free < found.peak[0, 0] < 1.2 * free and not found.failed  # within the 5 ms of the contact a law changes little
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ Not collected by pytest and not part of CI, which runs a sample of it: ``python 
 - a loop that is called passive is not stable on some spring at its tool of 10 to 1e9 N/m (Nm/rad), alone or with a damper, of any orientation;
 - a loop without dead time that is called not passive is stable, by the eigenvalues of the whole, on every environment tried of one degree of
   freedom (a mass, a spring and a damper at the tool along its worst real direction), or where only complex directions give energy, of several;
+- with dead time, 9000 frequencies at random find less damping at the joints than the scan did;
 - the extra damping leaves a loop that is not sampled not passive, or 1 % less of it makes it passive too.
 """
 
@@ -53,6 +54,8 @@ def random_loop(rng: np.random.Generator) -> mfc.ClosedLoop:
     ref, environment, F = mfc.trajectories.Hold(q), None, np.array([0, 0, 5.0, 0, 0, 0])
     if kind == 3:
         law: mfc.laws.Law = mfc.laws.DampedForcePI(F, float(rng.uniform(0, 1)), float(rng.uniform(0, 5)), np.full(6, 10 ** rng.uniform(1, 2.5)))
+        if rng.random() < 0.3:
+            parts["force_delay"] = float(10 ** rng.uniform(-3.5, -2.3))
         environment = mfc.Environment([10 ** rng.uniform(2, 5)] * 6, 10 ** rng.uniform(0, 2), axes="xyzrxryrz", preload=[0, 0, 5.0, 0, 0, 0])
     elif kind == 4:
         law = mfc.laws.TaskComputedTorque(kp, ki, kd)
@@ -145,6 +148,17 @@ def judged(loop: mfc.ClosedLoop, rng: np.random.Generator) -> tuple[str, str]:
     lin = loop.linearize(coordinates="state")
     found = lin.passivity()
     outcome = found.outcome[0]
+    late = max(lin.delay, lin.force_delay)
+    if late and outcome in (Passive.PASSIVE, Passive.NOT_PASSIVE):  # many more frequencies, without a plan
+        port = port_system(loop.equations, lin.opened, lin.point.x, "joints")
+        by_joints = lin.passivity("joints")
+        w = np.sort(np.concatenate([10 ** rng.uniform(-2, 5, 3000), rng.uniform(0.01, 30 * 2 * np.pi / late, 6000)]))
+        Z = np.linalg.inv(admittance(port, w)[0])
+        least = float((np.linalg.eigvalsh(Z + np.swapaxes(Z, 1, 2).conj())[:, 0] / 2).min())
+        if by_joints.passive[0] and least < -1e-9 * np.abs(Z).max():
+            return outcome.name, f"{least:.4g} was found at the joints"
+        if by_joints.outcome[0] is Passive.NOT_PASSIVE and -least > by_joints.damping[0] * (1 + 1e-4):
+            return outcome.name, f"{least:.6g} was found at the joints: {by_joints}"
     if outcome is Passive.PASSIVE:
         turn = rng.uniform(-1, 1, 3)
         bare = isinstance(loop.law, mfc.laws.Admittance) and loop.equations.actuators.servo is None  # its velocity jumps: a damper does not apply
@@ -163,7 +177,7 @@ def judged(loop: mfc.ClosedLoop, rng: np.random.Generator) -> tuple[str, str]:
                 verdict = passivity(again, "tool", known)
                 if bool(verdict.passive[0]) != enough and not (enough and verdict.outcome[0] is Passive.NOT_CERTIFIED):
                     return outcome.name, f"{part} of the extra damping {b:.4g}: {verdict}"
-        if not (lin.delay or lin.dt):
+        if not (late or lin.dt):
             there, done = unsettled(port, found.frequencies[0])
             kind = outcome.name if there else "NOT_PASSIVE along complex directions"
             return kind, "" if done else f"no environment was found: {found}"
