@@ -96,6 +96,8 @@ class Passivity:
         said = str(self.outcome[index])
         if self.outcome[index] is Passive.NOT_PASSIVE:
             said += f"; least Y + Y^H {self.smallest[index]:.3g} at {self.frequency[index]:.4g} rad/s along {self._along(index)}"
+            some = self.crossings[index]
+            said += f"; passes zero at {', '.join(f'{w:.4g}' for w in some[:3])}{', ...' if some.size > 3 else ''} rad/s" if some.size else ""
         b, w = self.damping[index], self.damping_frequency[index]
         if b > 0:
             where = "" if np.isnan(w) else " at ever higher frequencies" if np.isinf(w) else f" at {w:.4g} rad/s"

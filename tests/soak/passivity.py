@@ -169,7 +169,7 @@ def judged(loop: mfc.ClosedLoop, rng: np.random.Generator) -> tuple[str, str]:
     if outcome is Passive.NOT_PASSIVE:
         port = port_system(loop.equations, lin.opened, lin.point.x, "tool")
         b = float(found.damping[0])
-        if np.isfinite(b) and not lin.dt:
+        if b < 1e7 and not lin.dt:  # with more the slow roots of an integral are rounding
             for part, enough in ((1.001, True), (0.99, False)):
                 again = port.damped(part * b)
                 known = stability(again.opened)
