@@ -40,7 +40,7 @@ PER_DECADE = 30  #: frequencies of the scan
 PER_TURN = 16  #: of the phase of the dead times
 TURNS = 40  #: that are looked at where delta is negative at some phase at any frequency
 MOST = 40_000  #: frequencies of a scan with dead time
-FEW = 12  #: positive minima that are refined: those that come nearest to zero
+FEW = 8  #: minima that are refined: the deepest, and the positive ones that come nearest to zero
 ROUNDING = 1e-11  #: of the impedance: delta above minus this counts as zero; a wall would make of it a growth of 1e-11 w
 STILL = 1e-9  #: relative: directions in which the port does not move
 FAR = 1e3  #: times the top of the scan: there delta has come to its limit
@@ -333,7 +333,8 @@ def _refined(look: Callable[..., _Shown], w: Array, found: _Shown) -> tuple[Arra
     valley = np.flatnonzero((finite <= np.append(finite[1:], np.inf)) & (finite <= np.append(np.inf, finite[:-1])))
     with np.errstate(over="ignore"):
         near = (finite / np.maximum(found.rounding, 1e-300))[valley]
-    valley = valley[np.argsort(near)][: max(FEW, int((near < 0).sum()))]
+    nearest, deepest = np.argsort(np.where(near < 0, np.inf, near))[:FEW], np.argsort(finite[valley])[:FEW]
+    valley = valley[np.union1d(nearest, deepest)]
     parts = [(w, found)]
     for of, centre in (("delta", valley), ("smallest", np.array([int(np.argmin(found.smallest))]))):
         if not centre.size:
@@ -351,18 +352,17 @@ def _refined(look: Callable[..., _Shown], w: Array, found: _Shown) -> tuple[Arra
 
 
 def _crossings(look: Callable[..., _Shown], w: Array, lost: Bools) -> Array:
-    """Where delta passes zero, by sixteen points between those on its two sides, to 1e-12."""
+    """Where delta passes zero, between the points on its two sides, to 1e-12 of their distance."""
     k = np.flatnonzero(lost[1:] != lost[:-1])
     if not k.size:
         return np.zeros(0)
     low, high, first = w[k], w[k + 1], lost[k]
-    for _ in range(10):
-        inner = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 17)
-        seen = (look(inner.ravel()).delta < 0).reshape(inner.shape)
-        seen[:, 0], seen[:, -1] = first, ~first
-        at = np.argmax(seen != first[:, None], axis=1)
-        rows = np.arange(k.size)
-        low, high = inner[rows, at - 1], inner[rows, at]
+    rows = np.arange(k.size)
+    for _ in range(20):
+        ends = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 5)
+        seen = (look(ends[:, 1:4].ravel()).delta < 0).reshape(-1, 3)
+        at = np.argmax(np.column_stack([seen, ~first]) != first[:, None], axis=1)
+        low, high = ends[rows, at], ends[rows, at + 1]
     return np.asarray((low + high) / 2)
 
 

@@ -20,7 +20,7 @@ def port_system(equations: Equations, opened: OpenSystem, x: Array, at: str) -> 
 
     A wrench F on the tool is the disturbance J^T F at the joints, and the force sensor, which measures what the robot applies, sees -F. The
     velocity of the port is that of the deviation: J q', at a Hold the body twist. Under a velocity law no force moves the plant: the force acts
-    through the sensor only. Raises UnknownName for another port.
+    through the sensor only. Raises BadArgument for another port.
     """
     checks.choice("at", at, PORTS)
     one, n = opened if opened.held is None else opened.held, equations.n

@@ -9,11 +9,14 @@ import pytest
 
 import mfc_analysis as mfc
 from mfc_analysis import design
+from mfc_analysis.design.limits import with_stiffness
 from mfc_analysis.design.searches import Outcome
 from mfc_analysis.design.stiffness import at_stiffness
 from mfc_analysis.dynamics.environment import stiffened
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths.se3 import exp6
 from mfc_analysis.simulation.settling import settles
+from tests.conftest import regular_pose
 from tests.test_arms import loops
 
 T, M, KDAMP, KFP, KFI = 5e-3, 2.0, 40.0, 2.0, 3.0
@@ -83,6 +86,21 @@ def test_a_passive_loop_says_why_no_stiffness_is_too_large(part: float):
     )  # fmt: skip
     found = design.max_stiffness(loop, upper=1e9)
     assert any("passive at the tool" in note for note in found.notes) == math.isinf(found) == (part < 1)
+
+
+def test_without_its_stiffness_the_loop_is_judged_under_the_same_force():
+    """The force alone turns with the tool: it stays in the linear loop, which is the limit of those on ever softer surfaces."""
+    robot, q = mfc.robots.ur5(), regular_pose("ur5")
+    wall = mfc.Environment(2e3, damping=5.0, pose=robot.pose(q) @ exp6(np.array([0.0, 0.0, 2e-3, 0.1, -0.2, 0.3])), axes="z", preload=20.0)
+    loop = mfc.ClosedLoop(robot, mfc.laws.ComputedTorque(100.0, None, 20.0), mfc.trajectories.Hold(q), environment=wall)
+    stiffer, _ = with_stiffness(loop)
+    nominal = loop.nominal([0.0])
+    slots = {"q": nominal.q, "v": nominal.v}
+    forces = [one.equations.touch(slots).wrench for one in (loop, stiffer(0.0))]
+    np.testing.assert_allclose(forces[0], forces[1], rtol=1e-12)
+    soft, none = (stiffer(k).linearize().A for k in (1e-6, 0.0))
+    np.testing.assert_allclose(soft, none, atol=1e-5)
+    assert np.abs(none - mfc.ClosedLoop(robot, loop.law, loop.ref).linearize().A).max() > 0.1
 
 
 def test_an_undamped_integrating_wall_is_unstable_whatever_its_stiffness():
