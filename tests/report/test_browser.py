@@ -58,6 +58,28 @@ def test_a_phone_scrolls_only_downwards(tmp_path, make):
     assert width <= 390 and wide == []
 
 
+@pytest.mark.parametrize("make", [samples.document, samples.chapter])
+def test_on_a_phone_the_result_stays_in_view_and_figures_can_be_read(tmp_path, make):
+    results, captions, letters = asked(
+        tmp_path,
+        make(),
+        """const results = [], captions = [];
+        for (const box of document.querySelectorAll('.scroll')) for (const left of [0, 9999]) {
+            box.scrollLeft = left;
+            for (const cell of box.querySelectorAll('td.result')) { const r = cell.getBoundingClientRect(); results.push([r.left, r.right]) }
+            const caption = box.querySelector('caption span').getBoundingClientRect(); captions.push([caption.left, caption.right])
+        }
+        const letters = [...document.querySelectorAll('figure svg')].flatMap(svg => {
+            const zoom = svg.getBoundingClientRect().width / svg.viewBox.baseVal.width;
+            return [...svg.querySelectorAll('text')].map(t => zoom * parseFloat(getComputedStyle(t).fontSize)) });
+        return [results, captions, letters]""",
+        390,
+    )
+    assert results and all(0 <= left < right <= 391 for left, right in results)
+    assert captions and all(-1 <= left < right <= 391 for left, right in captions)
+    assert letters and min(letters) >= 8.5
+
+
 def test_the_slider_moves_poles_and_says_the_margins(tmp_path):
     first, moved, back = asked(
         tmp_path,

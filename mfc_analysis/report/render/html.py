@@ -31,6 +31,8 @@ COLOURS = {
     "#3d444d": "var(--limit)",
     "#b3261e": "var(--bad)",
     "#6b7280": "var(--grey)",
+    "#7a4b00": "var(--watch)",
+    "#6a3d9a": "var(--demo)",
     "#d5d9de": "var(--grid)",
     "#fbeee4": "var(--shade)",
     "#cfe8dc": "var(--fill-good)",

@@ -93,7 +93,8 @@ def test_a_reference_of_ones_own_is_named_and_many_numbers_are_counted() -> None
     law = mfc.laws.JointPID(25.0, kd=6.0)
     long = mfc.trajectories.Waypoints(np.linspace(0, 1, 70), np.linspace(0, 1, 70)[:, None])
     found = loop_document([mfc.ClosedLoop(arm, law, ref) for ref in (Own([0.1]), long)])
-    own, many = next(s.body for s in setups_section(found.sections))[0].rows
+    ((table,),) = (s.body for s in setups_section(found.sections))
+    own, many = table.rows
     assert own[2].startswith("Own") and "70 numbers (in the JSON)" in many[2] and "70 × 1 numbers" in many[2]
     json.dumps(plain(record(mfc.ClosedLoop(arm, law, Own([0.1])))), allow_nan=False)
 
