@@ -46,7 +46,7 @@ def sections(*, full: bool = True) -> tuple[Section, ...]:
     inner = (logarithm_section(), adjoint_section(), kinematics_section(), task_torque_section(), reciprocity_section(), hybrid_section())
     lost = [s.title for s in inner for b in s.body if isinstance(b, Compare) and b.left.note == "not stable"]
     verdict = f"{', '.join(lost)} makes a stable loop unstable" if lost else "none makes a stable loop unstable"
-    finding = f"Of {len(inner)} misprints in tool space and contact, {verdict}. Each section gives the effect in numbers."
+    finding = f"Of {len(inner)} misprints in tool space and contact, {verdict}."
     title = "Effect of the misprints in tool space and contact"
     shown = "the equations as printed"
     if full:
@@ -148,7 +148,7 @@ def adjoint_section() -> Section:
     speed = float(np.linalg.norm(path()(t).V[:, 3:], axis=1).max())
     cost = (
         f"A pure rotation error of 0.2 rad moves the tool {written(sideways['no_adjoint'])} mm off its path; with the standard form it stays within "
-        f"{written(sideways['standard'], 2)} mm. The frozen poles have imaginary parts up to ±{written(turn)} rad/s; the growth over one "
+        f"{written(tiny(sideways['standard'], 1e-5), 2)} mm. The frozen poles have imaginary parts up to ±{written(turn)} rad/s; the growth over one "
         "period is the same."
     )
     right, wrong = found["standard"][0], found["no_adjoint"][0]

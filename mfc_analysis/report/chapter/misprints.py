@@ -93,7 +93,7 @@ def sections(designs: Designs | None = None, *, full: bool = True) -> tuple[Sect
     inner = (velocity_feedforward(given), velocity_pi(given), torque_feedforward(given), computed_torque(given), triple(given))
     missed = [s.title for s in inner if s.numbers["standard"]["stable"] and not s.numbers["printed"]["stable"]]
     turned = f"the following make a stable loop unstable: {', '.join(missed)}" if missed else "none makes a stable loop unstable"
-    finding = f"Of {len(inner)} misprints in the joint-space equations, {turned}. Each section gives the effect in numbers."
+    finding = f"Of {len(inner)} misprints in the joint-space equations, {turned}."
     title, shown = "Effect of the misprints in the joint-space equations", "the equations as printed"
     if full:
         return (Section(title, finding, sections=inner, key="misprints", shown=shown),)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 LYNCH = "Lynch & Park, Modern Robotics, ch. 11"
-SICILIANO = "Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control, ch. 8-9"
+SICILIANO = "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 8-9"
 
 SLOW = 1 / HORIZON  #: [1/s] poles below this are slow
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mfc_analysis.laws.gain import Gain
 
 
-_HARDWARE = {
+HARDWARE = {
     "torque_lag": ("torque lag", "s"),
     "velocity_lag": ("velocity lag", "s"),
     "delay": ("dead time of the command", "s"),
@@ -123,8 +123,8 @@ def parameters(view: View) -> tuple[Block, ...]:
     hardware = view.loop.equations.hardware
     for field in fields(hardware):
         given = getattr(hardware, field.name)
-        if given is not None and field.name in _HARDWARE:
-            word, unit = _HARDWARE[field.name]
+        if given is not None and field.name in HARDWARE:
+            word, unit = HARDWARE[field.name]
             facts.append((word, f"{array_words(np.asarray(given, float))} {unit_words(unit, view.loop.robot.joint_units)}"))
     if hardware.servo is not None:
         w, z = (array_words(np.asarray(x, float)) for x in (hardware.servo.bandwidth, hardware.servo.damping))

@@ -14,7 +14,7 @@ from mfc_analysis.laws.gain import Gain
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import log6
 from mfc_analysis.report.document.document import Column, Section, Table, written
-from mfc_analysis.report.loops.parameters import array_words
+from mfc_analysis.report.loops.parameters import HARDWARE, array_words
 from mfc_analysis.requirements.replay import DERIVED, replay
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop
     from mfc_analysis.robots.robot import Robot
 
+UNITS = {"duration": "s", "stiffness": "N/m", "damping": "Ns/m", "preload": "N", "angle": "rad", "frequency": "rad/s", "radius": "m"}
 MOST_NUMBERS = 60  #: of one argument that are written in a table
 KEY = "loop"  #: of the record among the numbers of a section
 
@@ -41,7 +42,7 @@ def record(loop: ClosedLoop, times: ArrayLike = (0.0,), at: str = "") -> dict[st
         "controller_model": _robot(loop.equations.model),
         "law": _value(loop.law) | {"equation": loop.law.equation},
         "gains": {name: {"value": value, "unit": _unit(loop.law.units.get(name, ""))} for name, value in _gains(loop.law).items()},
-        "reference": _value(loop.ref) if is_dataclass(loop.ref) else {"class": type(loop.ref).__name__},
+        "reference": _value(loop.ref, whole=True) if is_dataclass(loop.ref) else {"class": type(loop.ref).__name__},
         "q_start": None if loop.q_start is None else np.asarray(loop.q_start),
         "hardware": _value(hardware),
         "surfaces": [_value(x) for x in _surfaces(loop)],
@@ -73,8 +74,8 @@ def _robot(robot: Robot) -> dict[str, Any]:
     return {"name": robot.name, "tool": robot.tool, "joints": robot.joint_names, "units": robot.joint_units, "payloads": loads, **friction}
 
 
-def _value(given: Any) -> Any:
-    """A dataclass as its class and the arguments that differ from the defaults; anything else as it is."""
+def _value(given: Any, whole: bool = False) -> Any:
+    """A dataclass as its class and the arguments that differ from the defaults (``whole``: all of them); anything else as it is."""
     if isinstance(given, Gain):
         return given.array
     if isinstance(given, np.ndarray) or not is_dataclass(given) or isinstance(given, type):
@@ -88,7 +89,7 @@ def _value(given: Any) -> Any:
             continue
         if isinstance(value, Gain):
             value = value.array
-        if value is not None and not (np.ndim(value) == 0 and value == f.default):
+        if value is not None and (whole or not (np.ndim(value) == 0 and value == f.default)):
             out[f.name] = _value(value)
     return out
 
@@ -176,10 +177,11 @@ def _setup(data: Mapping[str, Any]) -> tuple[str, ...]:
     count = f"{len(t)} times to {written(float(t[-1]), exact=True)} s" if len(t) > 1 else f"t = {written(float(t[0]), exact=True)} s"
     hardware = _said(data["hardware"]) or "ideal"
     surfaces = "; ".join(f"surface: {_said(x)}" for x in data["surfaces"])
-    start = "" if data["q_start"] is None else f"; from q = {_values(data['q_start'])}"
+    joints = " or ".join(sorted(set(plant["units"])))
+    start = "" if data["q_start"] is None else f"; from q = {_values(data['q_start'])} {joints}"
     return (
         f"{arm}; model {'exact' if same else _arm(model)}",
-        f"{data['reference']['class']}: {_said(data['reference'])}{start}; {count}",
+        f"{data['reference']['class']}: {_said(data['reference'], dict.fromkeys(('q', 'q0', 'q1', 'center'), joints))}{start}; {count}",
         "; ".join(x for x in (hardware, surfaces) if x),
         data["at"],
     )
@@ -190,7 +192,7 @@ def _arm(robot: Mapping[str, Any]) -> str:
     return f"{robot['name']}{loads}"
 
 
-def _said(data: Mapping[str, Any]) -> str:
+def _said(data: Mapping[str, Any], units: Mapping[str, str] | None = None) -> str:
     """Arguments of a recorded value as text; a pose by its position and its rotation vector."""
     out = []
     for name, value in data.items():
@@ -203,5 +205,7 @@ def _said(data: Mapping[str, Any]) -> str:
         elif np.ndim(value) == 2 and np.shape(value) == (4, 4):
             out.append(f"{name} at {array_words(np.asarray(value)[:3, 3])} m, turned by {array_words(log6(np.asarray(value))[3:])} rad")
         else:
-            out.append(f"{name.replace('_', ' ')} {_values(value)}")
+            unit = (units or {}).get(name) or UNITS.get(name) or HARDWARE.get(name, ("", ""))[1]
+            turning = {"stiffness": ", Nm/rad", "damping": ", Nms/rad"}.get(name, "") if "r" in str(data.get("axes", "")) else ""
+            out.append(f"{name.replace('_', ' ')} {_values(value)} {unit}{turning}".rstrip())
     return ", ".join(out)

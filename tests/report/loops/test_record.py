@@ -85,6 +85,17 @@ def test_a_record_has_only_what_differs_from_the_defaults_and_no_array_of_a_defa
     assert (data["at"], data["surfaces"], data["q_start"], data["times"]) == ("torque", [], None, [0.0])
 
 
+def test_the_table_of_setups_has_units_by_joint_axis_and_quantity() -> None:
+    wall = mfc.Environment(np.array([1e3, 20.0]), axes="zrx", preload=np.array([5.0, 0.0]))
+    law = mfc.laws.DampedForcePI((0, 0, 20.0, 0, 0, 0), 1.0, 5.0, kdamp=60.0)
+    lag = mfc.Hardware(torque_lag=2e-3)
+    found = loop_document(mfc.ClosedLoop(mfc.robots.ur5(), law, mfc.trajectories.Hold(np.zeros(6)), environment=wall, hardware=lag))
+    ((table,),) = (s.body for s in setups_section(found.sections))
+    ((_, arm, path, hardware, at),) = table.rows
+    assert (arm, path, at) == ("ur5; model exact", "Hold: q (0, 0, 0, 0, 0, 0) rad; t = 0 s", "torque")
+    assert hardware == "torque lag 0.002 s; surface: stiffness (1000, 20) N/m, Nm/rad, axes zrx, preload (5, 0) N"
+
+
 def test_a_reference_of_ones_own_is_named_and_many_numbers_are_counted() -> None:
     class Own(mfc.trajectories.Hold):
         """Not of this package."""
@@ -106,5 +117,5 @@ def test_gains_and_setups_name_every_loop_and_share_rows_where_they_are_the_same
     ((gains,),), ((setups,),) = ([s.body for s in make(document.sections)] for make in (gains_section, setups_section))
     assert [row[0] for row in gains.rows] == ["9.8, a and b", "other"]
     assert gains.rows[0][1:] == ("JointPID, eq. 9.8", "kp = 25 Nm/rad; kd = 6 Nm s/rad", "as given") and gains.rows[1][2] == "none"
-    assert setups.rows == (("9.8, a and b; other", "slider; model exact", "Hold: q 0.1; t = 0 s", "ideal", "torque"),)
+    assert setups.rows == (("9.8, a and b; other", "slider; model exact", "Hold: q 0.1 m; t = 0 s", "ideal", "torque"),)
     assert gains_section(()) == setups_section(()) == () and Document("t", "s", ()).front == ()
