@@ -23,12 +23,12 @@ JOINTS = ("#0072b2", "#c44e00", "#00795a", "#9b3f84", "#7a6200", "#5a4fcf", "#8a
 LIMIT = "#3d444d"  #: required limits
 GOOD, BAD = "#00795a", "#b3261e"
 GREY, GRID, SHADE = "#6b7280", "#d5d9de", "#fbeee4"
-INK = "#000000"
+INK, PAGE = "#000000", "#ffffff"
 
 TEXT = 8.0  #: [pt] of all text, as printed
 MINUS = "\N{MINUS SIGN}"
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_LETTER = 0.075  # [inch] of a title, about
+_LETTER = 0.09  # [inch] of a title, about
 _SHORTEST = 5  # letters of a shortened name in a legend
 _DOTS = 150  # per inch on a screen
 
@@ -147,10 +147,17 @@ def note(
     inside: bool = False,
     mixed: bool = False,
     shift: tuple[float, float] = (0.0, 0.0),
+    plate: bool = False,
 ) -> None:
-    """A text at data coordinates (``inside``: axes coordinates, 0 to 1; ``mixed``: x of the data, y of the axes), moved by ``shift`` [pt]."""
+    """A text at data coordinates (``inside``: axes coordinates, 0 to 1; ``mixed``: x of the data, y of the axes), moved by ``shift`` [pt].
+
+    ``plate``: on a plate in the colour of the page, where a curve would run through it.
+    """
+    box = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.6} if plate else None
     where = ax.transAxes if inside else ax.get_xaxis_transform() if mixed else ax.transData
-    ax.annotate(text, at, xycoords=where, xytext=shift, textcoords="offset points", fontsize=TEXT, color=color, ha=ha, va=va, annotation_clip=False)
+    ax.annotate(
+        text, at, xycoords=where, xytext=shift, textcoords="offset points", fontsize=TEXT, color=color, ha=ha, va=va, annotation_clip=False, bbox=box
+    )
 
 
 def free_note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK, up: float = 7.0, ha: str = "left") -> None:
@@ -183,8 +190,8 @@ def free_note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK,
                 hit += sum(1000 for b in taken if min(b.x1, low + wide) > max(b.x0, low) and min(b.y1, base + high) > max(b.y0, base))
                 if best is None or hit < best[0]:
                     best = (hit, side * across, rise, "left" if side > 0 else "right")
-    _, across, rise, side_of = best or (0.0, 4.0 * sides[0], up, ha)
-    note(ax, text, at, color=color, ha=side_of, shift=(across, rise))
+    hit, across, rise, side_of = best or (0.0, 4.0 * sides[0], up, ha)
+    note(ax, text, at, color=color, ha=side_of, shift=(across, rise), plate=hit > 0)
 
 
 def _path(line: Any) -> Any:
@@ -212,8 +219,10 @@ def legend(ax: Axes, *, columns: int = 1, where: str = "best", above: bool = Fal
     if above:
         box, width = ax.get_position(original=True), float(figure_of(ax).get_figwidth())
         room = min(box.x1 * width - 0.18, box.width * width + 0.52)
-        short = fitting(labels, room - _LETTER * len(ax.get_title(loc="left")))
-        above = short == labels or (len(labels) > 1 and min(map(len, short)) >= min(_SHORTEST, *map(len, labels)))
+        room -= _LETTER * len(ax.get_title(loc="left"))
+        short = fitting(labels, room)
+        fits = sum(map(len, short)) <= _letters(room, len(short))
+        above = fits and (short == labels or (len(labels) > 1 and min(map(len, short)) >= min(_SHORTEST, *map(len, labels))))
         labels, columns = (short, len(labels)) if above else ([x.removesuffix("_joint") for x in labels], 1 + (len(labels) > 3))
     if above:
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
@@ -251,7 +260,7 @@ def fitting(labels: Sequence[str], room: float) -> list[str]:
     If shortened names are no longer unique (LWristRoll, LWristYaw), the middles are removed instead.
     """
     out = [" ".join(str(x).split()) for x in labels]
-    letters = int((room - 0.32 * len(out)) / 0.065)
+    letters = _letters(room, len(out))
     if sum(map(len, out)) > letters and sum(x.endswith("_joint") for x in out) > 1:
         out = [x.removesuffix("_joint") for x in out]
     if sum(map(len, out)) > letters:
@@ -263,6 +272,11 @@ def fitting(labels: Sequence[str], room: float) -> list[str]:
     if len(set(ends)) == len(set(out)):
         return ends
     return [x if len(x) <= size else f"{x[: size // 2]}…{x[len(x) - (size - 1 - size // 2) :]}" for x, size in zip(out, sizes, strict=True)]
+
+
+def _letters(room: float, count: int) -> int:
+    """Letters that a legend of ``count`` entries has room for in one line of ``room`` [inch]."""
+    return int((room - 0.32 * count) / 0.065)
 
 
 def log_grid(ax: Axes, low: float, high: float) -> None:

@@ -65,13 +65,13 @@ def _history(ax: Axes, found: Any, metric: str, asked: float | None) -> None:
     if asked is not None and np.isfinite(asked):
         ax.axhline(asked * (1e3 if metric == "delay" else 1.0), color=sheet.LIMIT, linewidth=1.0, linestyle="--", zorder=1.5)
     _unstable(ax, times, np.asarray(found.stable, bool))
-    _worst(ax, across, shown, high=metric in _TIGHTEST)
     if alone:
         ax.set_xlim(-0.5, values.shape[1] - 0.5)
         room = ax.get_position(original=True).width * float(sheet.figure_of(ax).get_figwidth())
         ax.set_xticks(across[0], sheet.fitting(sheet.without_affixes(found.channels), room - 0.1))
     else:
         ax.set_xlim(times[0], times[-1])
+    _worst(ax, across, shown, high=metric in _TIGHTEST)
     if np.isnan(shown).all():
         said = "no limit at any time" if np.isposinf(values).any() else "unstable at every time"
         sheet.empty(ax, said)
@@ -124,7 +124,7 @@ def _unstable(ax: Axes, times: Array, stable: Bools) -> None:
     for first, last in turns.reshape(-1, 2):
         ax.axvspan(edges[first], edges[last], color=sheet.SHADE, linewidth=0, zorder=0.2)
         if last - first > 0.08 * times.size and not stable.all() and stable.any():
-            sheet.note(ax, "unstable", ((edges[first] + edges[last]) / 2, 0.9), color=sheet.BAD, ha="center", mixed=True)
+            sheet.note(ax, "unstable", ((edges[first] + edges[last]) / 2, 0.9), color=sheet.BAD, ha="center", mixed=True, plate=True)
 
 
 def _worst(ax: Axes, across: Array, values: Array, high: bool) -> None:

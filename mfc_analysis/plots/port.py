@@ -70,9 +70,25 @@ def passivity(
     sheet.log_grid(ax, w[0], w[-1])
     size = np.abs(b[np.isfinite(b) & (b != 0)])
     ax.set_yscale("asinh", linear_width=float(np.median(size)) if size.size else 1.0)
+    _thinned(ax)
     ax.axhline(0, color=sheet.LIMIT, linewidth=1.0, linestyle="--")
     for at in np.asarray(crossings, float).ravel()[:20]:
         ax.axvline(at, color=sheet.GREY, linewidth=0.8, linestyle=":")
     if said:
         sheet.note(ax, said, (0.02, 0.98), va="top", inside=True)
     return ax
+
+
+def _thinned(ax: Axes) -> None:
+    """The ticks of the y axis that are a line of text apart, 0 first: near 0 the decades of an asinh axis are close together."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter
+
+    low, high = ax.get_ylim()
+    ticks = sorted((float(y) for y in ax.yaxis.get_majorticklocs() if low <= y <= high), key=abs)
+    apart, kept = 1.6 * sheet.TEXT * float(sheet.figure_of(ax).dpi) / 72, list[float]()
+    for y in ticks:
+        places = ax.transData.transform([(1.0, other) for other in (*kept, y)])[:, 1]
+        if not kept or np.abs(places[:-1] - places[-1]).min() >= apart:
+            kept.append(y)
+    ax.yaxis.set_major_locator(FixedLocator(sorted(kept)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: sheet.decade(v)))

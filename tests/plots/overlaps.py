@@ -51,12 +51,12 @@ def texts_on_texts(figure: Figure, monkeypatch: Any) -> list[str]:
 
 
 def texts_on_curves(figure: Figure, monkeypatch: Any) -> list[str]:
-    """Texts within axes (notes and legends) that a solid or dashed curve runs through. Straight lines across the axes are no curves."""
+    """Texts within axes (notes and legends) without a plate that a curve runs through. Straight lines across the axes and dotted ones are guides."""
     found = drawn_texts(figure, monkeypatch)
     out = []
     for ax in figure.axes:
         legend = ax.get_legend()
-        inside = {id(t) for t in ax.texts} | ({id(t) for t in legend.get_texts()} if legend is not None else set())
+        inside = {id(t) for t in ax.texts if t.get_bbox_patch() is None} | ({id(t) for t in legend.get_texts()} if legend is not None else set())
         for line in ax.get_lines():
             path = pixels(line)
             if path is None:
@@ -70,7 +70,7 @@ def texts_on_curves(figure: Figure, monkeypatch: Any) -> list[str]:
 def pixels(line: Line2D) -> np.ndarray | None:
     """(k, 2) points along a curve in pixels, a pixel apart, within its axes; None for marks and for straight lines."""
     xy = np.column_stack([np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)])
-    if len(xy) < 3 or line.get_linestyle() in ("None", "none", "", " "):
+    if len(xy) < 3 or line.get_linestyle() in ("None", "none", "", " ", ":"):
         return None
     points = line.get_transform().transform(xy)
     points = points[np.isfinite(points).all(axis=1)]

@@ -15,6 +15,7 @@ from mfc_analysis import plots
 from mfc_analysis.errors import UnknownName
 from mfc_analysis.plots import figure as sheet
 from tests.plots import kinds
+from tests.plots.overlaps import texts_on_curves, texts_on_texts
 
 KINDS = kinds.every_kind()
 
@@ -45,6 +46,35 @@ def test_no_text_leaves_the_sheet(kind, monkeypatch):
             if box.x0 < -0.5 or box.y0 < -0.5 or box.x1 > whole.width + 0.5 or box.y1 > whole.height + 0.5
         ]
     assert not outside
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_text_lies_on_another_or_on_a_curve(kind, monkeypatch):
+    with matplotlib.rc_context(sheet.settings()):
+        figure = sheet.figure_of(KINDS[kind]())
+        assert not texts_on_texts(figure, monkeypatch)
+        assert not texts_on_curves(figure, monkeypatch)
+
+
+def test_the_test_of_overlaps_sees_a_label_on_a_label_and_on_a_curve(monkeypatch):
+    ax = sheet.axes_for("map")
+    ax.plot(np.linspace(0, 1, 50), np.linspace(0, 1, 50))
+    sheet.note(ax, "on the curve", (0.5, 0.5), ha="center")
+    sheet.note(ax, "on the label", (0.55, 0.52), ha="center", plate=True)
+    assert texts_on_curves(ax.figure, monkeypatch) == ["'on the curve' on a curve"]
+    assert texts_on_texts(ax.figure, monkeypatch) == ["'on the curve' on 'on the label'"]
+
+
+def test_a_free_note_goes_where_no_curve_is_and_takes_a_plate_where_there_is_no_such_place(monkeypatch):
+    ax = sheet.axes_for("map")
+    ax.set(xlim=(0, 1), ylim=(0, 1))
+    ax.plot(np.linspace(0, 1, 50), np.linspace(0.2, 0.95, 50))
+    sheet.free_note(ax, "PM 45°", (0.5, 0.575))
+    assert not texts_on_curves(ax.figure, monkeypatch) and ax.texts[0].get_bbox_patch() is None
+    for k in range(60):
+        ax.plot([0, 0.5, 1], [k / 60] * 3)
+    sheet.free_note(ax, "GM 6 dB", (0.5, 0.5))
+    assert ax.texts[1].get_bbox_patch() is not None
 
 
 @pytest.mark.parametrize("kind", KINDS)

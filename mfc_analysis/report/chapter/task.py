@@ -94,7 +94,7 @@ def velocity_section(full: bool = True) -> Section:
         "phase_deg": m.phase_deg[0],
         "delay": m.delay[0],
         "poles": lin.poles()[0],
-        "validation": validated(loop, 1.0),
+        "validation": validated(loop, 1.0 if full else 0.4),
         KEY: record(loop, at="command"),
         **smallest_numbers(lin),
     }

@@ -20,6 +20,7 @@ _DROPPED = frozenset(("metadata", "title", "desc", "script", "foreignObject"))
 #: colours of the figures -> custom properties of the style sheet, which has a second value of each for dark pages
 COLOURS = {
     "#000000": "currentColor",
+    "#ffffff": "var(--page)",
     "#0072b2": "var(--j0)",
     "#c44e00": "var(--j1)",
     "#00795a": "var(--j2)",

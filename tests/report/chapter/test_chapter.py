@@ -21,7 +21,7 @@ from mfc_analysis.report.document.tree import every_block, tree
 from mfc_analysis.report.document.verdict import verdict
 from mfc_analysis.report.render.write import rendered
 from mfc_analysis.requirements.line import Status
-from tests.plots.overlaps import texts_on_texts
+from tests.plots.overlaps import texts_on_curves, texts_on_texts
 from tests.plots.test_figure import texts
 from tests.report.loops.test_record import rebuilt, same_margins
 from tests.report.render.test_pdf import words
@@ -218,7 +218,7 @@ def test_text_in_figures_has_8_points_in_print_and_lies_on_nothing(whole, monkey
             figure = sheet.figure_of(drawing.draw())
             widths[key] = 72 * figure.get_figwidth()
             assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()) >= 8, drawing.alt
-            assert not texts_on_texts(figure, monkeypatch), drawing.alt
+            assert not texts_on_texts(figure, monkeypatch) + texts_on_curves(figure, monkeypatch), drawing.alt
     for block in every_block(flat.root["sections"]):
         row = block["figures"] if block["k"] == "row" else [block] if block["k"] == "figure" else []
         assert sum(widths[f["id"]] for f in row) + 8 * (len(row) - 1) <= 17.2 * 72 / 2.54, row  # else it is made smaller
