@@ -186,7 +186,7 @@ def free_note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK,
                 if low < box.x0 or low + wide > box.x1 + 2 or base < box.y0 or base + high > box.y1 + 2:
                     continue
                 inside = [(c[:, 0] > low) & (c[:, 0] < low + wide) & (c[:, 1] > base) & (c[:, 1] < base + high) for c in curves]
-                hit = sum(int(np.count_nonzero(some)) for some in inside)
+                hit: float = sum(int(np.count_nonzero(some)) for some in inside)
                 hit += sum(1000 for b in taken if min(b.x1, low + wide) > max(b.x0, low) and min(b.y1, base + high) > max(b.y0, base))
                 if best is None or hit < best[0]:
                     best = (hit, side * across, rise, "left" if side > 0 else "right")

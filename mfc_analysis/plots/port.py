@@ -75,7 +75,7 @@ def passivity(
     for at in np.asarray(crossings, float).ravel()[:20]:
         ax.axvline(at, color=sheet.GREY, linewidth=0.8, linestyle=":")
     if said:
-        sheet.note(ax, said, (0.02, 0.98), va="top", inside=True)
+        sheet.note(ax, said, (0.02, 0.98), va="top", inside=True, plate=True)
     return ax
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 POLES = 8  #: number of poles shown, slowest first
 
 
-class Relief(NamedTuple):
+@dataclass(frozen=True)
+class Relief:
     """A quantity whose change alone would make a failed assertion pass."""
 
     name: str
@@ -242,7 +243,13 @@ def _section(r: Record, name: str) -> Section:
     if unexpected and r.relief:
         heads = ("Varied alone", "As given", "Would pass up to", "Why")
         columns = tuple(Column(head, numeric=False) for head in heads)
-        body.append(Table("What would make it pass: the limits at which the requirements are just met.", columns, tuple(map(tuple, r.relief))))
+        body.append(
+            Table(
+                "What would make it pass: the limits at which the requirements are just met.",
+                columns,
+                tuple(tuple(asdict(x).values()) for x in r.relief),
+            )
+        )
     if r.notes:
         body.append(Bullets(tuple(note[:1].upper() + note[1:] + "." for note in r.notes)))
     body += _margins(r)
@@ -254,7 +261,7 @@ def _section(r: Record, name: str) -> Section:
     numbers: dict[str, Any] = {"test": r.test, "assertion": r.what, "passed": r.passed, "outcome": r.outcome, "times": r.times, "at": r.at}
     numbers |= {"asked": dict(r.asked), **r.numbers} | _numbers(r.margins)
     numbers |= {"requirement": r.requirement, "rationale": r.rationale} if r.requirement else {}
-    numbers |= {"would_pass": [x._asdict() for x in r.relief]} if r.relief else {}
+    numbers |= {"would_pass": [asdict(x) for x in r.relief]} if r.relief else {}
     return Section(
         name, _finding(r), tuple(body), r.checks, numbers=numbers, loop=name, shown="" if r.passed or unexpected else "the test expects this failure"
     )

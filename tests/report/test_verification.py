@@ -77,7 +77,7 @@ def test_what_would_make_it_pass_is_the_limit_of_the_closed_form():
     made = replace(record(seen[0], "t", 0), relief=found, outcome="failed")
     (section,) = verification_document([made]).sections
     (table,) = (b for b in section.body if isinstance(b, Table) and str(b.caption).startswith("What would make it pass"))
-    assert table.rows == tuple(map(tuple, found)) and section.numbers["would_pass"][0]["limit"] == late.limit
+    assert table.rows == tuple((x.name, x.given, x.limit, x.why) for x in found) and section.numbers["would_pass"][0]["limit"] == late.limit
     (expected,) = verification_document([replace(made, outcome="passed")]).sections
     assert not any(isinstance(b, Table) and "make it pass" in str(b.caption) for b in expected.body)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from mfc_analysis.analysis.spectrum import rates
 from mfc_analysis.report.chapter.pieces import at_least, at_most, slowest
 from mfc_analysis.report.document.document import Fact, KeyFacts, Number, written
 from mfc_analysis.report.loops.points import Smallest, smallest
@@ -59,7 +60,7 @@ def margin_numbers(lin: Linearization) -> dict[str, object]:
 
 def force_checks(lin: Linearization, phase: float, gain_db: float, peak: float) -> tuple[Line, ...]:
     """Checks of a force loop's smallest margins over all analysis points, under the names that all loops share."""
-    m, slow = least(lin), slowest(lin.poles()[0]).real
+    m, slow = least(lin), slowest(rates(lin.poles()[0], lin.dt)).real
     up, down, late = m["gain_increase_db"], m["gain_reduction_db"], m["delay"]
     return (
         Line("stable", 0.0, slow, "1/s", -slow, Status.PASS if bool(lin.stable[0]) else Status.FAIL, "", None, "<"),

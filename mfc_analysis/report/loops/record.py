@@ -85,7 +85,7 @@ def _value(given: Any, whole: bool = False) -> Any:
         value = getattr(given, f.name) if f.init and f.name not in DERIVED else None
         system = getattr(given, "system", None) if f.name == "outer" else None
         if system is not None:  # an LTI outer loop
-            out[f.name] = {**dict(zip("ABCD", (np.asarray(M) for M in system), strict=True)), "dt": given.sample_time or 0.0}
+            out[f.name] = {**dict(zip("ABCD", (np.asarray(M) for M in system), strict=True)), "dt": getattr(given, "sample_time", None) or 0.0}
             continue
         if isinstance(value, Gain):
             value = value.array
