@@ -1,8 +1,9 @@
 """Exact margins of loops with dead time: e^(-jwT) on every delayed wire, without Pade approximation.
 
 There are infinitely many crossings of the sensitivities (``sensitivities``). They are bracketed on a frequency grid that
-resolves the open and closed poles, the roots of the loop with dead time near the axis (by the samples of the verdict's count), and the phase of
-e^(-jwT); then polished. The search continues to higher frequencies until no further crossing can limit a margin. No frequency below
+resolves the closed poles, the roots of the loop with dead time near the axis (by the samples of the verdict's count), and the phase of
+e^(-jwT); then polished. A zero of a sensitivity needs no frequencies of its own: its size falls towards it from as far as the next of these
+roots. The search continues to higher frequencies until no further crossing can limit a margin. No frequency below
 1/horizon counts; a gain interval also ends on the indentation of the contour (``arc``).
 """
 
@@ -12,7 +13,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mfc_analysis.analysis.channels import Channels, channels
+from mfc_analysis.analysis.channels import channels
 from mfc_analysis.analysis.delay.grid import apart, between, room
 from mfc_analysis.analysis.delay.sensitivities import Sensitivities, sensitivities
 from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, arc_delays, places
@@ -41,12 +42,12 @@ SMOOTH = 4  #: its first steps go where the polynomial through all places so far
 
 def delayed_metrics(system: OpenSystem, at: str, judged: Bools, walks: Sequence[Array]) -> MarginMetrics:
     """The metrics of all channels of the point ``at``, dead time exact; NaN where not judged. ``walks``: those of the verdict (``Stability``)."""
-    ch = channels(system, at)
-    metrics = MarginMetrics(*(np.full(ch.H0.shape, np.nan) for _ in range(10)))
+    H0 = channels(system, at).H0
+    metrics = MarginMetrics(*(np.full(H0.shape, np.nan) for _ in range(10)))
     every = np.asarray(np.flatnonzero(judged), np.int64)
     size = np.array([walks[int(i)].size for i in every]) + 1000.0
-    for some in _groups(every, size, ch.H0.shape[1]):
-        found = _metrics(sensitivities(system, at, some), ch.at(some), _padded([walks[int(i)] for i in some]), system.radius)
+    for some in _groups(every, size, H0.shape[1]):
+        found = _metrics(sensitivities(system, at, some), H0[some], _padded([walks[int(i)] for i in some]), system.radius)
         put(metrics, some, MarginMetrics(**found))
     return metrics
 
@@ -72,18 +73,15 @@ def _padded(parts: Sequence[Array]) -> Array:
     return out
 
 
-def _metrics(point: Sensitivities, ch: Channels, walk: Array, radius: float) -> dict[str, Array]:
-    """The metrics (m, n). ``walk``: frequencies (m, k) of the count, which resolve the roots with dead time."""
-    m, n = ch.H0.shape
-    column = ch.B / (1 + ch.H0)[:, None]
-    opened = np.linalg.eigvals(ch.A[:, None] - column.transpose(0, 2, 1)[:, :, :, None] * ch.C[:, :, None, :]).reshape(m, -1)
-    poles = np.concatenate([point.poles, opened], axis=1).astype(np.complex128)
-    few = apart(poles)
-    w = thinned(frequencies_of_interest(few, radius), few)
+def _metrics(point: Sensitivities, H0: Array, walk: Array, radius: float) -> dict[str, Array]:
+    """The metrics (m, n). ``H0``: H at infinity (m, n); ``walk``: frequencies (m, k) of the count, which resolve the roots with dead time."""
+    m, n = H0.shape
+    poles = apart(point.poles)
+    w = thinned(frequencies_of_interest(poles, radius), poles)
     w = np.sort(np.concatenate([w, np.where((walk >= radius) & (walk <= w[:, -1:]), walk, w[:, -1:])], axis=1), axis=1)
     longest = float(point.T.max())
     low, high = np.full(m, radius), np.full(m, max(3 * radius, 3 * np.pi / longest))
-    at, theta = places(radius, 0.0), angles(poles, radius)
+    at, theta = places(radius, 0.0), angles(point.poles, radius)
     on_arc = point.over(at(theta))
     arc = arc_crossings(radius, theta, on_arc, at, point.one)
     gain: list[Crossings] = []
@@ -102,13 +100,13 @@ def _metrics(point: Sensitivities, ch: Channels, walk: Array, radius: float) -> 
                 kind.append(found)
             _peaks(point, some, piece, H, *peaks)
             again.append(some[np.count_nonzero(np.diff(piece, axis=1), axis=1) + 1 < MOST])
-        metrics = assembled(_joined(gain), _joined(phase), arc, ch.H0, lambda x: x)
+        metrics = assembled(_joined(gain), _joined(phase), arc, H0, lambda x: x)
         left = np.sort(np.concatenate(again))
         further = _needed(point, left, w[left], high[left], metrics["gain_increase"][left])
         left, further = left[further > high[left]], further[further > high[left]]
         low[left], high[left] = high[left], further
     also_late(metrics, *arc_delays(theta, on_arc, at, point.one, metrics["delay"]))
-    far = np.abs(1 + ch.H0)
+    far = np.abs(1 + H0)
     better = far >= peaks[0] * (1 - 1e-12)
     peak, where = np.where(better, far, peaks[0]), np.where(better, np.inf, peaks[1])
     return {**metrics, "sensitivity_peak": np.maximum(peak, 1.0), "peak_frequency": where}

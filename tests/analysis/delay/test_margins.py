@@ -190,3 +190,16 @@ def test_of_many_maxima_of_nearly_the_same_height_the_highest_is_the_sensitivity
         size = np.abs(np.einsum("kii->ki", S)).max(axis=0)
         assert np.all(found.sensitivity_peak[i] >= size * (1 - 1e-12))
         assert_allclose(found.sensitivity_peak[i], np.maximum(size, 1), rtol=1e-4)
+
+
+@pytest.mark.parametrize("zeta", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("w", [0.4, 30.0])
+def test_a_lightly_damped_pole_of_the_loop_does_not_hide_where_its_gain_may_end(zeta, w):
+    """L has a pair of poles beside the axis, where S has zeros. At the ends of the interval of gains the count of the roots changes."""
+    L = (4 * s + 4) / (s**2 - 0.01) * (s**2 + 2 * zeta * w * s + w**2) / (s**2 + 2.2 * zeta * w * s + (1.1 * w) ** 2)
+    system = open_system(L, delay=0.02)
+    found = margins(system, "torque")
+    assert found.stable[0]
+    low, high = found.gain_reduction[0, 0], found.gain_increase[0, 0]
+    for k, stable in ((0.999 * low, False), (1.001 * low, True), (0.999 * high, True), (1.001 * high, False)):
+        assert stability(scaled(system, k)).nonzero_stable[0] == stable
