@@ -8,6 +8,7 @@ import numpy as np
 
 from mfc_analysis import plots
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.plots.figure import without_affixes
 from mfc_analysis.report.chapter.arms import decibels
 from mfc_analysis.report.document.document import Block, Cell, Column, Figure, Math, Number, Table, written
 from mfc_analysis.report.loops.view import View
@@ -67,7 +68,7 @@ def coupling_table(view: View) -> Table:
     alone, m = view.lin.decentralised().margins(), view.margins
     gain = _gain_along(view)
     rows: list[tuple[Cell, ...]] = []
-    for j, name in enumerate(plots.without_affixes(m.channels)):
+    for j, name in enumerate(without_affixes(m.channels)):
         with np.errstate(divide="ignore"):
             low = [float(decibels(x.gain_reduction[:, j]).max()) for x in (alone, m)]
         rows.append(

@@ -11,6 +11,7 @@ import numpy as np
 from mfc_analysis import laws, plots
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.plots.figure import without_affixes
 from mfc_analysis.report.chapter.arms import PAYLOAD, Arm, Designs, arms, decibels, per_joint, triple_pole
 from mfc_analysis.report.chapter.coupling import coupling_figures, coupling_numbers, coupling_table, coupling_words, price
 from mfc_analysis.report.chapter.force import tiny
@@ -314,7 +315,7 @@ def margins_table(first: View, second: View, caption: str) -> Table:
     """Margins joint by joint of a loop with the exact model and with the wrong one."""
     a, b = first.margins, second.margins
     rows: list[tuple[Cell, ...]] = []
-    for j, name in enumerate(plots.without_affixes(a.channels)):
+    for j, name in enumerate(without_affixes(a.channels)):
         rows.append(
             (
                 name,
