@@ -190,8 +190,8 @@ def free_note(ax: Axes, text: str, at: tuple[float, float], *, color: str = INK,
                 hit += sum(1000 for b in taken if min(b.x1, low + wide) > max(b.x0, low) and min(b.y1, base + high) > max(b.y0, base))
                 if best is None or hit < best[0]:
                     best = (hit, side * across, rise, "left" if side > 0 else "right")
-    hit, across, rise, side_of = best or (0.0, 4.0 * sides[0], up, ha)
-    note(ax, text, at, color=color, ha=side_of, shift=(across, rise), plate=hit > 0)
+    struck, across, rise, side_of = best or (0.0, 4.0 * sides[0], up, ha)
+    note(ax, text, at, color=color, ha=side_of, shift=(across, rise), plate=struck > 0)
 
 
 def _path(line: Any) -> Any:

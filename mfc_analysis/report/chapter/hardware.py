@@ -112,7 +112,7 @@ def first_section() -> Section:
             shown,
         ),
     )
-    checks = tuple((at_least if x.more else at_most)(x.name, x.expected, x.limit, x.unit) for x in ranked)
+    checks = tuple((at_least if x.more else at_most)(f"limit of the {x.name}", x.expected, x.limit, x.unit) for x in ranked)
     proofs = (at_least("simulated points that agree", float(len(points)), float(agree)),)
     numbers = {"limits": {x.name: x.limit for x in ranked}, "factors": {x.name: x.factor for x in ranked}}
     return Section("The most critical imperfection", finding, body, checks, numbers, SOURCES, proofs=proofs, loop=LATE, key="breaks-first")
@@ -144,7 +144,7 @@ def single(w: float, delay: float | None = None) -> ClosedLoop:
 
 def delay_section(full: bool = True) -> Section:
     """Largest product of dead time and bandwidth for computed torque on one joint."""
-    w, T, at = np.geomspace(2, 50, 11 if full else 4), np.geomspace(2e-3, 0.5, 15 if full else 7), 10.0
+    w, T, at = np.geomspace(2, 50, 11 if full else 6), np.geomspace(2e-3, 0.5, 15), 10.0
     found: DelayMap = delay_map(single, T, w)
     limit = float(design.max_delay(single(at)))
     speeds = (at, 40.0) if full else (at,)

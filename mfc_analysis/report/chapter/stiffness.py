@@ -141,7 +141,7 @@ def lag_section(full: bool = True) -> Section:
         return slider_loop(k, kfp=g, hardware=ALL)
 
     real_limit = stable_up_to(late(1e4, KFP))
-    real = mapped(late, gains[:: 3 if full else 5], ((real_limit / ASIDE, KFP), (real_limit * ASIDE, KFP)), kick, SPAN[:: 4 if full else 8])
+    real = mapped(late, gains[:: 3 if full else 4], ((real_limit / ASIDE, KFP), (real_limit * ASIDE, KFP)), kick, SPAN[::4])
     wanted = closed_form(KFP)
     finding = (
         f"With a torque lag of 2 ms and kfp = {KFP:g}, the loop is stable up to {written(limit / 1e3)} kN/m "
