@@ -32,6 +32,7 @@ CONTRACTS = 0.8  #: loop gain below which the phase of det(I - E G) is known; ne
 FROM_POLES = 2.5  #: times 1 - that gain and the distance from the poles of G: the longest step between two samples on which it stays below one
 NARROW = 1e-10  #: relative step at which a root lies on the contour
 LADDER = 12  #: first samples in a decade, where there are no others
+SPARSE = 3  #: above all poles G has no features: one of so many samples is enough to see whether the loop gain falls
 NUDGES = (1.0, 1 + 3e-4, 1 - 3e-4)  #: factors of the radius, tried in turn where a root lies on the circle
 AROUND = np.array([-1.0, 1.0])  #: first samples around a pole, in units of its distance from the axis; never on a pole
 LEAST = 1e-3  #: of that distance, as a fraction of its modulus
@@ -225,13 +226,13 @@ def _until_contracting(points: Stacked, owner: Ints, w: Array) -> tuple[Ints, Ar
     parts, done = {int(i): w[owner == i] for i in np.unique(owner)}, {}
     for _ in range(12):
         above = {i: int(np.searchsorted(one, top[i])) for i, one in parts.items()}
-        tails = [one[max(above[i] - 1, 0) :] for i, one in parts.items()]  # those below make no difference
+        tails = [one[max(above[i] - 1, 0) :: SPARSE] for i, one in parts.items()]  # those below make no difference
         at = np.repeat(np.array(list(parts), np.int64), [tail.size for tail in tails])
         loud = ~points.contracts(points.gain(at, on_axis(np.concatenate(tails))), limit[at])
         further = {}
         for i, part in zip(list(parts), np.split(loud, np.cumsum([tail.size for tail in tails])[:-1]), strict=True):
             one = parts[i]
-            last = max(above[i], max(above[i] - 1, 0) + int(np.flatnonzero(part)[-1]) + 2 if part.any() else 2)
+            last = max(above[i], max(above[i] - 1, 0) + SPARSE * (int(np.flatnonzero(part)[-1]) + 1) + 1 if part.any() else 2)
             if last < one.size:
                 done[i] = one[: last + 1]
             else:
