@@ -267,9 +267,9 @@ class ClosedLoop:
         """Compares linear prediction and nonlinear simulation over ``time`` [s], from the operating point disturbed by ``size`` [rad, m].
 
         The disturbance is the worst one found: from the directions in which the linear model fails first to second order, with both signs, a
-        search climbs the misfit of the nonlinear response; runs decide among what it finds. It moves each joint by at most ``size``, one of
-        them by ``size``, and each other state (velocity, integral, filter, actuator) by at most what the linear model makes of a joint error
-        of ``size``.
+        search climbs the misfit of the nonlinear response where higher orders count; runs decide among what it finds. It moves each joint by at
+        most ``size``, one of them by ``size``, and each other state (velocity, integral, filter, actuator) by at most what the linear model makes
+        of a joint error of ``size``.
 
         Args:
             seed: of the random starts of the search, an integer >= 0; the radius depends on it by a few percent at most.
