@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from mfc_analysis.report.document.document import Provenance
 
+MACHINE = ("Python", "platform")  #: of the items
 PACKAGES = ("mfc-analysis", "control", "numpy", "scipy", "pin", "slycot", "matplotlib", "typst")
 
 
@@ -25,7 +26,7 @@ def provenance(
     """
     items = [("date", date)] if date else []
     items += [(name, found) for name in PACKAGES if (found := _version(name))]
-    items += [("Python", platform.python_version()), ("platform", f"{platform.system()} {platform.machine()}")]
+    items += list(zip(MACHINE, (platform.python_version(), f"{platform.system()} {platform.machine()}"), strict=True))
     items += [(f"SHA-256 of {name}", hashlib.sha256(content).hexdigest()) for name, content in (inputs or {}).items()]
     items += [(str(name), str(value)) for name, value in (settings or {}).items()]
     return Provenance(tuple(items), command)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mfc_analysis.report.document import document as s, verdict as judged
+from mfc_analysis.report.document.provenance import MACHINE, PACKAGES
 from mfc_analysis.requirements.line import Status
 
 LONG_ROWS, LONG_WORDS = 12, 1200  #: rows, letters of a table that may be broken across pages
@@ -90,7 +91,11 @@ class _Builder:
             out: list[s.Section] = []
             given = self.document.provenance
             if given is not None:
-                rows = tuple((name, s.Mono(value)) for name, value in given.items)
+                versions = [(name, value) for name, value in given.items if name in (*PACKAGES, *MACHINE)]
+                rows: tuple[tuple[s.Cell, ...], ...] = (
+                    (("software", s.Mono(", ".join(f"{name} {value}" for name, value in versions))),) if versions else ()
+                )
+                rows += tuple((name, s.Mono(value)) for name, value in given.items if (name, value) not in versions)
                 rows += (("To reproduce", s.Mono(given.command)),) if given.command else ()
                 heads = (s.Column("Item", numeric=False), s.Column("Value", numeric=False))
                 body: list[s.Block] = [s.Table("How this report was made.", heads, rows)]

@@ -160,7 +160,7 @@ def setups_section(sections: Iterable[Section]) -> tuple[Section, ...]:
         groups.setdefault(_setup(data), []).append(name)
     if not groups:
         return ()
-    heads = (("Loops", 3.5), ("Arm and controller's model", 2.5), ("Reference and times", 5.0), ("Hardware and surfaces", 4.5), ("At", 1.5))
+    heads = (("Loops", 5.0), ("Arm and controller's model", 2.4), ("Reference and times", 5.0), ("Hardware and surfaces", 4.6), ("At", 1.4))
     rows = tuple((_names(names), *cells) for cells, names in groups.items())
     caption = "The loops as they were analysed. With the gains, each can be rebuilt from here; the JSON has all digits, and the Python code of each."
     return (
