@@ -123,7 +123,8 @@ def _fields(given: Any, what: str, missing: list[str]) -> list[str]:
             x = None
         system = getattr(given, "system", None) if f.name == "outer" else None
         if system is not None:  # an LTI outer loop
-            dt = [] if given.sample_time is None else [repr(given.sample_time)]
+            late = getattr(given, "sample_time", None)
+            dt = [] if late is None else [repr(late)]
             out.append("outer=control.ss(" + ", ".join([*(repr(np.asarray(M).tolist()) for M in system), *dt]) + ")")
             continue
         if _is_default(x, f.default):

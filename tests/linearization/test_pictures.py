@@ -114,7 +114,7 @@ def test_a_nyquist_plot_stays_outside_the_disk_of_its_sensitivity_peak() -> None
     ax, peak = LATE_LIN.plot_nyquist(0, channel=1), LATE_LIN.margins().sensitivity_peak[0, 1]
     curve = lines(ax, color=sheet.colour(1))[0]
     assert np.nanmin(np.hypot(curve[:, 0] + 1, curve[:, 1])) == pytest.approx(1 / peak, rel=1e-3)
-    assert f"1/Ms = {1 / peak:.3g}" in words(ax)
+    assert f"circle: 1/Ms = {1 / peak:.3g}" in words(ax)
 
 
 def test_a_pole_plot_of_a_loop_with_dead_time_shows_its_roots_and_says_what_is_grey() -> None:
