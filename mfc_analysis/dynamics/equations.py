@@ -37,7 +37,7 @@ from mfc_analysis.dynamics.actuators import ACTUATOR_SLOTS, Actuators
 from mfc_analysis.dynamics.coded import difference, summed
 from mfc_analysis.dynamics.environment import Contact, Environment, LoseContact, contact
 from mfc_analysis.dynamics.hardware import Hardware, JointHardware
-from mfc_analysis.errors import MfcWarning, NearPi, NearSingular
+from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, NotConverged
 from mfc_analysis.laws.law import WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, concatenate, times, value
@@ -54,16 +54,18 @@ NO_WRENCH = np.zeros(6)  #: F_d under a law without a force reference
 
 @contextmanager
 def timed(t: float | Array) -> Iterator[None]:
-    """Adds the time to NearSingular and NearPi raised inside: t [s], one for each point or one for all."""
+    """Adds the time to NearSingular, NearPi and numpy's LinAlgError raised inside: t [s], one for each point or one for all."""
     try:
         yield
-    except (NearSingular, NearPi) as why:
+    except (NearSingular, NearPi, np.linalg.LinAlgError) as why:
         raise at_time(why, t) from None
 
 
-def at_time(why: NearSingular | NearPi, t: float | Array) -> NearSingular | NearPi:
-    """The error with the time of its point: t [s], one for each point or one for all."""
+def at_time(why: NearSingular | NearPi | np.linalg.LinAlgError, t: float | Array) -> NearSingular | NearPi | NotConverged:
+    """The error with the time of its point: t [s], one for each point or one for all. numpy's is that of a state far away, or of a user's law."""
     times = np.ravel(t)
+    if isinstance(why, np.linalg.LinAlgError):
+        return NotConverged(f"the loop cannot be evaluated at t = {float(times[0]):.4g} s: {why}")
     return why.at(float(times[why.index]) if why.index < times.size else None)
 
 
@@ -279,7 +281,7 @@ class Equations:
         """
         try:
             return self._flow(t, self.split(x), Wires() if wires is None else wires, NO_INPUTS if inputs is None else inputs, lose_contact)
-        except (NearSingular, NearPi) as why:
+        except (NearSingular, NearPi, np.linalg.LinAlgError) as why:
             raise at_time(why, t) from None
 
     def _flow(self, t: float | Array, s: dict[str, Vector], wires: Wires, inputs: Inputs, lose_contact: LoseContact) -> Flow:
@@ -425,7 +427,7 @@ class Equations:
             if self.law.needs_acceleration:
                 command = self._with_measured_acceleration(t, s, command, F, Inputs(disturbance=disturbance), Wires())
             rates.update(self.move(s, command, F, 0.0 if disturbance is None else disturbance))
-        except (NearSingular, NearPi) as why:
+        except (NearSingular, NearPi, np.linalg.LinAlgError) as why:
             raise at_time(why, t) from None
         if x.ndim > 1:
             return self.state_rates(rates, x.shape[:-1])

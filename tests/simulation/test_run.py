@@ -14,7 +14,9 @@ from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.laws.law import Action
 from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.maths.dual import value
 from mfc_analysis.simulation import run
 from mfc_analysis.simulation.run import FAR, FASTEST, DenseOutput, Outcome, Run, bounded, most_evaluations
 from mfc_analysis.trajectories import Hold
@@ -216,3 +218,22 @@ def test_dense_output_is_that_of_the_segment_and_of_the_later_one_at_its_seam() 
     times = np.array([-1.0, 0.0, 0.5, 1.0 - 1e-9, 1.0 - 1e-13, 1.0, 1.5, 2.0, 2.5])
     assert path.along(times).tolist() == [path.at(float(t)).tolist() for t in times]
     assert DenseOutput(0.0, np.array([-1.0])).along(times).tolist() == [[-1.0]] * 9
+
+
+@L.define
+class _NoSolution(L.JointLaw):
+    """Pushes away, with an equation that has no solution beyond 0.5."""
+
+    equation = "none"
+
+    def act(self, model, now, ref, tap):
+        if np.any(np.abs(value(now.q)) > 0.5):
+            raise np.linalg.LinAlgError("SVD did not converge")
+        return Action(20.0 * now.q, {}, ref.q - now.q)
+
+
+@pytest.mark.parametrize("hardware", [None, Hardware(delay=2e-3), Hardware(sample_time=2e-3)])
+def test_a_law_without_a_solution_ends_the_run_and_says_so(hardware: Hardware | None) -> None:
+    loop = ClosedLoop(robots.single_joint(mass=0.0), _NoSolution(), Hold([0.0]), hardware=hardware)
+    run = loop.simulate(np.linspace(0, 5, 501), q=[0.1])
+    assert run.message and run.t[-1] < 4.9 and np.abs(run.q).max() < 0.6
