@@ -12,6 +12,7 @@ import typer
 
 from mfc_analysis.cli import terminal
 from mfc_analysis.errors import BadArgument
+from mfc_analysis.maths.threads import one_thread
 
 app = typer.Typer(
     name="mfc-analysis",
@@ -33,6 +34,7 @@ def main() -> None:
     import signal
     import sys
 
+    one_thread()
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     terminal.open_streams()
     code: Any = terminal.BAD_INPUT

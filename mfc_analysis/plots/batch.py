@@ -21,6 +21,7 @@ from signal import SIGTERM
 from subprocess import PIPE, Popen
 from typing import Any, TypeVar
 
+from mfc_analysis.maths.threads import THREADS
 from mfc_analysis.plots import figure as sheet
 
 Made = TypeVar("Made")
@@ -29,7 +30,6 @@ MANY = 20  #: up to this number of figures one process is faster: starting other
 SHARE = 4  #: figures drawn between two calls of ``progress``
 
 _START = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from mfc_analysis.plots.batch import serve; serve()"
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  #: of linear algebra, one in the second process
 
 
 def drawn(recipes: Sequence[Any], *, progress: Callable[[int], None] | None = None) -> list[str]:
@@ -98,7 +98,7 @@ def _second() -> Popen[bytes] | None:
     if cores < 2 or not sys.executable:
         return None
     try:
-        environment = {**dict.fromkeys(_THREADS, "1"), **os.environ}
+        environment = {**dict.fromkeys(THREADS, "1"), **os.environ}
         found = Popen([sys.executable, "-P", "-c", _START], stdin=PIPE, stdout=PIPE, env=environment, start_new_session=True)
         home = str(Path(__file__).resolve().parents[2])  # of this package, last: where it was found by the current folder
         _send(found, pickle.dumps([*(str(entry) for entry in sys.path if entry), home]))

@@ -38,7 +38,7 @@ FREE = ([1500.0, 1500.0], [100.0, 100.0, 100.0])  #: its damping along the other
 WALL = 2e4  #: [N/m]
 DAMPINGS = (DAMPING / 4, DAMPING / 2, DAMPING, 2 * DAMPING)
 BESIDE = 1.1  #: simulated on walls at the limit divided and multiplied by this
-RUN = 3.0  #: [s]
+RUN = 2.0  #: [s]
 SURFACES = {"rubber": 2e3, "wood": 2e4, "steel": 2e5}  #: [N/m]
 SPEEDS, TOUCHING = (0.05, 0.1, 0.2), 0.4  #: [m/s], [s]
 DRIVE = Hardware(torque_lag=2e-3)
