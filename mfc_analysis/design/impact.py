@@ -21,13 +21,13 @@ from mfc_analysis.analysis.stability import growth
 from mfc_analysis.design.limits import with_stiffness
 from mfc_analysis.design.sweeps import ERROR, sweep
 from mfc_analysis.dynamics.environment import STIFFEST
-from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, solve_command_for_slots
 from mfc_analysis.dynamics.start_state import start_state
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Ints
-from mfc_analysis.maths.dual import value
+from mfc_analysis.maths.dual import Dual, value
 from mfc_analysis.simulation.simulation import Simulation, simulate
 
 if TYPE_CHECKING:
@@ -128,14 +128,15 @@ def impact(
     """Simulates the touch of a one-sided surface at each speed, on each stiffness.
 
     Args:
-        loop: a torque loop with exactly one one-sided surface that has a translation; its normal is the axis with a preload, else the first one.
+        loop: with exactly one one-sided surface that has a translation; its normal is the axis with a preload, else the first one. A law with
+            velocity inputs, such as ``Admittance``, commands the speed at the touch, and its drives have it.
         speeds: (k,) [m/s] > 0 of the tool along the normal at the touch. stiffness: (g,) [N/m] > 0 of the surface, as ``max_stiffness`` varies
             it, the force at the reference kept; None: its own.
         duration: [s] of each run; None: 12 time constants of the slowest root in contact on the softest surface, 0.05 to 10 s.
         max_evaluations: of each run, as ``ClosedLoop.simulate``.
         progress: a bar on the terminal. n_jobs: processes, as in ``sweep``.
 
-    Raises BadArgument: a law with velocity inputs, no such surface, or an arm that cannot move along its normal.
+    Raises BadArgument: no such surface, an arm that cannot move along its normal, or a velocity law whose command no state of it sets.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     v = _positive("speeds", speeds, FASTEST, "m/s")
@@ -178,8 +179,6 @@ def _positive(argument: str, given: ArrayLike, high: float, unit: str) -> Array:
 
 def _touched(loop: ClosedLoop) -> tuple[int, int]:
     """The surface, and the axis of its compliance frame, that is touched."""
-    if loop.equations.actuator != "torque":
-        raise BadArgument("loop", str(loop), "a law with torque inputs: under a velocity law the tool has no speed of its own at the touch")
     some = [i for i, s in enumerate(loop.equations.surfaces) if s.one_sided and min(s.index) < 3]
     if len(some) != 1:
         takes = "a loop with exactly one surface of mfc.Environment(..., one_sided=True) that has a translation"
@@ -211,8 +210,26 @@ def at_the_touch(loop: ClosedLoop, surface: int, axis: int, speed: float) -> Arr
             break
     else:
         raise BadArgument("environment", wall, "a surface within reach of the tool, along its normal")
-    free = replace(loop, environment=None).equations
-    return start_state(free, 0.0, q=q, v=speed * _towards(loop, q, normal), integral="trimmed")
+    free, v = replace(loop, environment=None).equations, speed * _towards(loop, q, normal)
+    if e.actuator == "torque":
+        return start_state(free, 0.0, q=q, v=v, integral="trimmed")
+    driven = bool(e.actuators.slots(loop.robot.joint_names))
+    return _commanding(free, start_state(free, 0.0, q=q, integral="trimmed", actuator=v if driven else None), v)
+
+
+def _commanding(e: Equations, x: Array, v: Array) -> Array:
+    """The state x (nx,) with those states of a velocity law that are no integrals such that it commands v (n,), as it has done for a while."""
+    slots = {name: np.array(part) for name, part in e.split(x).items()}
+    for slot in e.law.slots(e.robot.joint_names):
+        k = len(slot.channels)
+        if slot.integral:
+            continue
+        seeded: dict[str, Any] = {**slots, slot.name: Dual(slots[slot.name], np.eye(k))}
+        command = e.control(0.0, seeded, np.zeros(6), Wires(), Inputs())[0].command
+        if isinstance(command, Dual):
+            slots[slot.name] = slots[slot.name] + solve_command_for_slots(command.tangent, v - command.value)
+            return np.asarray(value(e.join(slots)), float)
+    raise BadArgument("loop", str(e.law), "a law with torque inputs, or one whose commanded velocity is a state, such as Admittance")
 
 
 def _towards(loop: ClosedLoop, q: Array, normal: Array) -> Array:
