@@ -262,6 +262,7 @@ def one_of(step: SettlingStep, *given: float | None) -> tuple[str, float]:
 
 
 def asked_for(name: str, value: float) -> str:
+    """What was asked of the loop, with its definition: "bandwidth = 31.4: the frequency where ..."."""
     return f"{name.removeprefix('loop_')} = {value:.6g}: {_DEFINITIONS[name]}"
 
 
