@@ -46,7 +46,7 @@ ONE_SIDED = Environment(1e4, preload=10.0, one_sided=True)
 
 
 def sections(*, full: bool = True) -> tuple[Section, ...]:
-    """Sections on impedance, admittance and impact; not ``full``: with fewer dampings, imperfections and speeds."""
+    """Sections on impedance, admittance and impact; not ``full``: with fewer dampings and speeds."""
     return (impedance_section(), admittance_section(full), impact_section() if full else impact_section(SPEEDS[1:2], TOUCHING / 2))
 
 
@@ -131,8 +131,7 @@ def admittance_section(full: bool = True) -> Section:
         "and 125 Hz sampling": Hardware(servo=SERVO, sample_time=PERIOD),
         "and a force filter of 2 ms": DRIVES,
     }
-    shown = {name: drives for name, drives in costs.items() if full or drives.sample_time is None}
-    chain = {name: limit if drives is DRIVES else stable_up_to(admittance_loop(hardware=drives), 1e7) for name, drives in shown.items()}
+    chain = {name: limit if drives is DRIVES else stable_up_to(admittance_loop(hardware=drives), 1e7) for name, drives in costs.items()}
     kick = np.linalg.solve(robots.ur5().jacobian(Q), 1e-4 * Z)
     holds = {}
     for factor in (1 / BESIDE, BESIDE):
