@@ -144,8 +144,8 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool | Bools)
         angle = rotation_vector(C)
         J = Jlog3(angle)
         depth, rate = np.concatenate([depth, angle], axis=-1), np.concatenate([rate, times(J, w)], axis=-1)
-    f = depth @ K + rate @ B + surface.f0[:size]
     elastic = depth @ K + surface.f0[:size]
+    f = elastic + rate @ B
     pushes = np.ones(f.shape)
     if lose_contact is not False:
         touched = elastic > 0 if lose_contact is True else np.asarray(lose_contact)[:size]

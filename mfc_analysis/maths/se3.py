@@ -24,6 +24,7 @@ _A = np.array([1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307
 _A_DOWN = _A[::-1].tolist()
 _FAR = np.array([2 * sum(n ** (-2.0 * k) for n in range(1, 40)) / (2 * np.pi) ** (2 * k) for k in range(9, 41)])  #: the same for k = 9..40
 MOST = np.pi - 1e-3  #: [rad] largest angle of which a logarithm is taken in a loop
+_FIRST, _SECOND = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])  #: components of the factors of a cross product
 _SMALL = 0.25  # theta^2 below which the series is used
 
 
@@ -40,12 +41,8 @@ def cross(a: Array, b: Array) -> Array:
     if a.ndim == b.ndim == 1:
         (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
         return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    x = ay * bz - az * by
-    out = np.empty((*x.shape, 3))
-    out[..., 0], out[..., 1], out[..., 2] = x, az * bx - ax * bz, ax * by - ay * bx
-    return out
+    products = a[..., _FIRST] * b[..., _SECOND]
+    return np.asarray(products[..., :3] - products[..., 3:])
 
 
 def cross_product(a: Vector, b: Vector) -> Array | Dual:
@@ -136,19 +133,23 @@ def exp6(V: Array) -> Array:
 
 def log3(R: Array) -> Array:
     """Rotations (..., 3, 3) -> rotation vectors (..., 3), angle below pi."""
-    axis = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
-    sin = np.sqrt(np.sum(axis * axis, axis=-1))
-    theta = np.arctan2(sin, 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1))
+    axis, theta = _axis_and_angle(R)
     return np.asarray(axis / np.sinc(theta / np.pi)[..., None], float)
+
+
+def _axis_and_angle(R: Array) -> tuple[Array, Array]:
+    """(..., 3) the axis times the sine of the angle, and the angle (...,) [rad]."""
+    entries = R.reshape(*R.shape[:-2], 9)
+    axis = 0.5 * (entries[..., [7, 2, 3]] - entries[..., [5, 6, 1]])
+    return axis, np.arctan2(np.sqrt((axis * axis).sum(axis=-1)), 0.5 * (entries[..., [0, 4, 8]].sum(axis=-1) - 1))
 
 
 def rotation_vector(R: Array) -> Array:
     """``log3``. Raises ``NearPi`` within 1e-3 rad of pi."""
-    w = log3(R)
-    angle = np.sqrt(np.sum(w * w, axis=-1))
-    if np.any(angle > MOST):
-        raise NearPi(float(np.max(angle)), index=int(np.argmax(angle)))
-    return w
+    axis, theta = _axis_and_angle(R)
+    if np.any(theta > MOST):
+        raise NearPi(float(np.max(theta)), index=int(np.argmax(theta)))
+    return np.asarray(axis / np.sinc(theta / np.pi)[..., None], float)
 
 
 def Jlog3(w: Array) -> Array:
@@ -336,10 +337,10 @@ class Pose:
     def adjoint(self, V: Vector) -> Array | Dual:
         """Ad(X) V, with the tangent of the pose: Ad(X) (dV - ad(V) twist)."""
         v = value(V)
-        if self.R.ndim == 2 and v.ndim == 1 and self.twist is None and not isinstance(V, Dual):
-            moved = v.reshape(2, 3) @ self.R.T
-            moved[0] += cross(self.p, moved[1])
-            return moved.reshape(6)
+        if self.twist is None and not isinstance(V, Dual):
+            moved = v.reshape(*v.shape[:-1], 2, 3) @ np.swapaxes(self.R, -1, -2)
+            moved[..., 0, :] += cross(self.p, moved[..., 1, :])
+            return moved.reshape(*moved.shape[:-2], 6)
         Ad = self.Ad()
         out = times(Ad, v)
         dV = V.tangent if isinstance(V, Dual) else None

@@ -162,16 +162,17 @@ class Primitives:
 
     def jacobian_dot(self, q: Vector, v: Vector) -> Array | Dual:
         """(dJ_b/dt) v at velocity v: the tool acceleration minus J a."""
-        if self._single(q, v):
-            pin.forwardKinematics(self._model, self._data, q, v, self._zero)  # without joint accelerations the frame has this one
-            return np.array(pin.getFrameAcceleration(self._model, self._data, self.robot.frame_id, pin.LOCAL).vector)
-        at = self.at(value(q))
-        vs = value(v)
-        K = at.bracketed(vs)
+        qs, vs = value(q), value(v)
         if not isinstance(q, Dual) and not isinstance(v, Dual):
-            return times(K, vs)
+            return self._each(self._drift, qs, vs, size=6)
+        at = self.at(qs)
+        K = at.bracketed(vs)
         dq, dv = self._jacobian_dot_derivatives(at.J, K, vs)
         return chain(times(K, vs), (lambda: dq, q), (lambda: dv, v))
+
+    def _drift(self, model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
+        pin.forwardKinematics(model, data, q, v, self._zero)  # without joint accelerations the frame has this one
+        return np.asarray(pin.getFrameAcceleration(model, data, self.robot.frame_id, pin.LOCAL).vector)
 
     def solve_jacobian(self, q: Vector, x: Vector, damping: float = 0.0) -> Array | Dual:
         """The joint velocity of a body twist x: J^-1 x, or by the pseudo-inverse; with damping [-] by J^T (J J^T + damping^2)^-1.
@@ -221,34 +222,34 @@ class Primitives:
         With damping [-] (J M^-1 J^T + damping^2 n / trace(M))^-1, which also exists at a singularity. Raises NearSingular as ``solve_jacobian``.
         """
         at = self.at(value(q))
-        M = at.M if mass is None else mass
-        soft, slope, trace_rate = self.softness(q, damping, mass)
+        softening = None
         if mass is None and damping == 0.0:
             Lambda = at.Lambda
         else:
             if damping == 0.0:
                 at.check_regular()
-            Lambda = np.asarray(np.linalg.inv(at.J @ np.linalg.solve(M, at.J_T) + soft * np.eye(6)), float)
+            soft, softening = self.softness(q, damping, mass)
+            Lambda = np.asarray(np.linalg.inv(at.J @ np.linalg.solve(at.M if mass is None else mass, at.J_T) + soft * np.eye(6)), float)
         y = times(Lambda, value(x))
         if not isinstance(q, Dual):
             return chain(y, (lambda: Lambda, x))
         back = self.mobility(q, y, mass)  # Lambda^-1 y with y held: its tangent is d(Lambda^-1) y
         assert isinstance(back, Dual)
         tangent = x.tangent - back.tangent if isinstance(x, Dual) else -back.tangent
-        if trace_rate is not None:
-            tangent = tangent + slope * y[..., None] * trace_rate
+        if softening is not None:
+            tangent = tangent + y[..., None] * softening
         return Dual(y, Lambda @ tangent)
 
-    def softness(self, q: Vector, damping: float, mass: Array | None = None) -> tuple[Array, Array, Array | None]:
-        """d = damping^2 n / trace(M) and d / trace(M), (..., 1, 1), and the tangent of trace(M) (..., 1, N); None where d is constant."""
+    def softness(self, q: Vector, damping: float, mass: Array | None = None) -> tuple[Array, Array | None]:
+        """d = damping^2 n / trace(M) (..., 1, 1), and minus its tangent (..., 1, N); None where d is constant."""
         M = self.at(value(q)).M if mass is None else mass
         trace = np.trace(M, axis1=-2, axis2=-1)[..., None, None]
         soft = damping**2 * self.n / trace
         if mass is not None or not damping or not isinstance(q, Dual):
-            return soft, soft / trace, None
+            return soft, None
         diagonal = [self.mass(q, axis)[i : i + 1] for i, axis in enumerate(np.eye(self.n))]
         rates = [part.tangent for part in diagonal if isinstance(part, Dual)]
-        return soft, soft / trace, np.asarray(sum(rates))
+        return soft, np.asarray(soft / trace * sum(rates))
 
     # --- loops over Pinocchio calls ------------------------------------------------------------------------------
 
@@ -266,17 +267,17 @@ class Primitives:
     def _configurations(self, q: Array) -> Array:
         return np.ascontiguousarray(q if self._plain else self.robot.configuration(q)).reshape(-1, self._model.nq)
 
-    def _each(self, call: Callable[..., Array], q: Array, *more: Array) -> Array:
-        """A Pinocchio function of (model, data, q, ...) with values (n,), at every point."""
+    def _each(self, call: Callable[..., Array], q: Array, *more: Array, size: int | None = None) -> Array:
+        """A function of (model, data, q, ...) with Pinocchio, at every point: its values (n,), or ``size`` of them that belong to no joint."""
         model, data = self._model, self._data
         if q.ndim == 1 and self._order is None and all(x.ndim == 1 for x in more):
             return np.array(call(model, data, q if self._plain else self.robot.configuration(q), *more))
         lead = _lead(q, more)
         count, columns = self._columns(lead, q, more)
-        out = np.empty((count, self.n))
+        out = np.empty((count, size or self.n))
         for i, at in enumerate(zip(*columns, strict=False)):
             out[i] = call(model, data, *at)
-        return (out if self._order is None else out[:, self._back]).reshape(*lead, self.n)
+        return (out if self._order is None or size else out[:, self._back]).reshape(*lead, out.shape[-1])
 
     def _columns(self, lead: tuple[int, ...], q: Array, more: tuple[Array | None, ...]) -> tuple[int, list[Iterable[Array]]]:
         first = self._configurations(spread(q, lead))
@@ -468,6 +469,8 @@ class Configuration:
         except np.linalg.LinAlgError:
             return False
         J = self.J
+        if J.ndim == 2:
+            return float(np.vdot(J, J)) * float(np.vdot(inverse, inverse)) < REFUSE_CONDITION**2
         with np.errstate(all="ignore"):
             bound = np.square(J).sum(axis=(-2, -1)) * np.square(inverse).sum(axis=(-2, -1))
         return bool(np.all(bound < REFUSE_CONDITION**2))

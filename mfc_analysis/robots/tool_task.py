@@ -117,7 +117,7 @@ class ToolTask:
         """(..., k) A M^-1 tau: the acceleration along these directions under joint torques alone."""
         return self.through(self.model.jacobian(self.q, self.model.solve_mass(self.q, tau)))
 
-    @property
+    @cached_property
     def mobility(self) -> Array:
         """(..., k, k) Lambda^-1 = A M^-1 A^T, plain."""
         return np.asarray(np.linalg.inv(self.model.at(value(self.q)).Lambda), float)
@@ -213,7 +213,7 @@ class SelectedTask(ToolTask):
         """A x."""
         return self.through(self.model.jacobian(self.q, x))
 
-    @property
+    @cached_property
     def mobility(self) -> Array:
         """(..., k, k) Lambda^-1 = A M^-1 A^T, plain."""
         M = self.model.at(value(self.q)).M
@@ -249,14 +249,14 @@ class SelectedTask(ToolTask):
         if damping == 0.0:
             self.check_regular()
         M = at.M if mass is None else mass
-        soft, slope, trace_rate = model.softness(self.q, damping, mass)
+        soft, softening = model.softness(self.q, damping, mass)
         Lambda = np.asarray(np.linalg.inv(A @ np.linalg.solve(M, np.swapaxes(A, -1, -2)) + soft * np.eye(len(self.S))), float)
         y = times(Lambda, value(x))
         pushed = self.torque(y)
         back = self.forward(model.solve_mass(self.q, pushed) if mass is None else matvec(np.asarray(np.linalg.inv(mass), float), pushed))
-        if trace_rate is not None:
+        if softening is not None:
             assert isinstance(back, Dual)
-            back = Dual(back.value, back.tangent - slope * y[..., None] * trace_rate)
+            back = Dual(back.value, back.tangent - y[..., None] * softening)
         return _implicit(y, Lambda, x, back)
 
 

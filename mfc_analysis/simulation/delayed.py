@@ -122,7 +122,7 @@ def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
     start, end = float(asked[0]), float(asked[-1])
     first, wires = run.states(x0), Wires()
     sizes, lead = e.wire_sizes(), first.shape[:-1]
-    e.flow(run.times(start), first, wires, run.inputs(start), lose_contact=run.lose_contact)
+    e.flow(start, first, wires, run.inputs(start), lose_contact=run.lose_contact)
     history = {name: History(start, np.array(np.broadcast_to(value(wires.recorded[name]), (*lead, sizes[name])))) for name in delays}
     own = np.setdiff1d(np.arange(e.nx), np.array(e.plant_states, int))
     apart = e.actuator in delays and float(np.abs(own_matrix(e, start, first)).sum(axis=-1).max(initial=0.0)) * min(delays.values()) < COUPLED

@@ -88,7 +88,7 @@ def response(e: Equations, base: Simulation, steps: int) -> Response | None:
 def _rates(e: Equations, t: float, x: Array) -> Array:
     """The rates (m, nx) at the states x (m, nx); NaN where the law cannot be evaluated."""
     try:
-        return e.rates(np.full(len(x), t), x, lose_contact=True)
+        return e.rates(t, x, lose_contact=True)
     except MfcError:
         if len(x) <= 1:
             return np.full(x.shape, np.nan)

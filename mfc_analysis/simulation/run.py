@@ -165,18 +165,14 @@ class Run:
         """(nx,) the state, or (count, nx) those of all runs, from a state of the solver."""
         return x if self.count is None else x.reshape(self.count, -1)
 
-    def times(self, t: float) -> float | Array:
-        """[s] of each of the states."""
-        return t if self.count is None else np.full(self.count, t)
-
     def rates(self, t: float, x: Array, wires: Wires | None = None) -> Array:
         """Rates of the whole loop, for the solver."""
         e, disturbance = self.equations, None if self.disturbance is None else self.disturbance(t)
         if wires is None and self.count is None:
             return e.rates(t, x, disturbance, lose_contact=self.lose_contact)
         if wires is None:
-            return np.ravel(e.rates(self.times(t), self.states(x), disturbance, lose_contact=self.lose_contact))
-        found = e.flow(self.times(t), self.states(x), wires, Inputs(disturbance=disturbance), lose_contact=self.lose_contact)
+            return np.ravel(e.rates(t, self.states(x), disturbance, lose_contact=self.lose_contact))
+        found = e.flow(t, self.states(x), wires, Inputs(disturbance=disturbance), lose_contact=self.lose_contact)
         return np.ravel(value(e.join(found.rates)))
 
     def plant_rates(self, t: float, x: Array, drive: Array) -> Array:

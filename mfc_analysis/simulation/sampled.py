@@ -59,7 +59,7 @@ def run_sampled(run: Run, asked: Array, x0: Array) -> None:
         F = value(e.touch(read, lose_contact=True).wrench)
         try:
             with timed(t):
-                action, rates = e.control(run.times(t), s, F, Wires(), Inputs())
+                action, rates = e.control(t, s, F, Wires(), Inputs())
         except MfcError as why:
             run.refuse(t, why)
             return

@@ -163,6 +163,16 @@ def test_rates_and_signals_are_those_of_the_flow(case: Case) -> None:
         assert_allclose(value(getattr(signals, one)), value(getattr(flow, one)), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize(("name", "case"), ON_THREE, ids=str)
+def test_many_states_at_one_time_have_the_rates_that_each_has_alone(name: str, case: Case) -> None:
+    loop, x = state(case, name)
+    e, states = loop.equations, x[1] + 1e-3 * seed(name, case.name).standard_normal((4, x.shape[1]))
+    together = e.rates(0.3, states)
+    alone = np.array([e.rates(0.3, one) for one in states])
+    assert_allclose(together, alone, rtol=1e-9, atol=1e-9 * np.abs(alone).max())
+    np.testing.assert_array_equal(together, e.rates(np.full(4, 0.3), states))
+
+
 def test_rates_of_some_slots_leave_the_others_at_0() -> None:
     e = ClosedLoop(arm("ur5"), L.ComputedTorque(100.0, 80.0, 20.0), Hold(regular_pose("ur5"))).equations
     out = e.state_rates({"z": np.ones(6)}, (3,))
