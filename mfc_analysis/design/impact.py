@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.stability import growth
 from mfc_analysis.design.limits import with_stiffness
-from mfc_analysis.design.sweeps import ERROR, sweep
+from mfc_analysis.design.sweeps import evaluated
 from mfc_analysis.dynamics.environment import STIFFEST
 from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, solve_command_for_slots
 from mfc_analysis.dynamics.start_state import start_state
@@ -157,16 +157,19 @@ def impact(
     at_the_touch(made(float(k[0])), surface, axis, float(v[0]))  # what no speed or stiffness mends raises here
     times = np.linspace(0.0, end, SAMPLES)
     measure = partial(_measured, surface=surface, axis=axis, times=times, max_evaluations=max_evaluations)
-    found: Any = sweep(case, {"stiffness": k.tolist(), "speed": v.tolist()}, measure, n_jobs=n_jobs, progress=progress)
-    failed = {}
-    for i, j in np.ndindex(k.size, v.size):
-        why = str(found[ERROR].values[i, j]) or str(found["message"].values[i, j])
-        if why:
-            failed[i, j] = why
-    values = {name: np.asarray(found[name].values, float) for name in ("peak", "bounces", "settling", "last", "force", "scale")}
-    bounces = np.nan_to_num(values["bounces"], nan=-1).astype(np.int64)
-    along = np.asarray(values["scale"][:, 0]) if not np.isnan(values["scale"][:, 0]).any() else k
-    return Impact(along, v, values["peak"], bounces, values["settling"], values["last"], times, values["force"], failed)
+    done = evaluated(case, {"stiffness": k.tolist(), "speed": v.tolist()}, measure, n_jobs, progress, "impact")
+    shape, failed = (k.size, v.size), {}
+    found = {name: np.full(shape, np.nan) for name in ("peak", "bounces", "settling", "last", "scale")}
+    found["force"] = np.full((*shape, times.size), np.nan)
+    for where, (run, error) in zip(np.ndindex(shape), done, strict=True):
+        if run is not None:
+            for name, values in found.items():
+                values[where] = run[name]
+        if error or str(run["message"]):
+            failed[where] = error or str(run["message"])
+    along = found["scale"][:, 0] if not np.isnan(found["scale"][:, 0]).any() else k
+    bounces = np.nan_to_num(found["bounces"], nan=-1).astype(np.int64)
+    return Impact(along, v, found["peak"], bounces, found["settling"], found["last"], times, found["force"], failed)
 
 
 def _positive(argument: str, given: ArrayLike, high: float, unit: str) -> Array:

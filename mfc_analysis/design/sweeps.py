@@ -54,21 +54,37 @@ def sweep(
     Raises:
         BadArgument: functions that cannot be called, an empty grid or axis, inconsistent results.
     """
-    names, axes = _checked(build, grid, measure)
+    axes = _checked(build, grid, measure)
+    return _gathered(axes, evaluated(build, axes, measure, n_jobs, progress, "sweep"))
+
+
+def evaluated(
+    build: Callable[..., Any], axes: Mapping[str, Sequence[Any]], measure: Callable[[Any], Any], n_jobs: int | None, progress: bool, title: str
+) -> list[Point]:
+    """The points of ``sweep``, the last axis first, with its warning of those that fail. Raises BadArgument."""
+    import joblib
+    from joblib.parallel import get_active_backend
+
     checked_jobs(n_jobs)
-    points = [dict(zip(names, values, strict=True)) for values in product(*axes.values())]
-    done = list(_run(build, measure, points, n_jobs, progress))
-    failed = sum(bool(p.error) for p in done)
+    points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+    streams = bool(getattr(get_active_backend()[0], "supports_return_generator", False))  # Dask, for example, does not
+    parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator" if streams else "list")
+    done: list[Point] = []
+    with _bar(progress, len(points), title) as advance:
+        for point in parallel(joblib.delayed(one_point)(build, measure, p) for p in points):  # pyright: ignore[reportArgumentType, reportAssignmentType]
+            advance()
+            done.append(point)
+    failed = [i for i, p in enumerate(done) if p.error]
     if failed:
         import warnings
 
-        first = next(i for i, p in enumerate(done) if p.error)
-        where = ", ".join(f"{name}={x!r}" for name, x in points[first].items())
-        warnings.warn(f"sweep: {failed} of {len(done)} points failed; the first at {where}: {done[first].error}", MfcWarning, stacklevel=2)
-    return _gathered(axes, done)
+        where = ", ".join(f"{name}={x!r}" for name, x in points[failed[0]].items())
+        said = f"{title}: {len(failed)} of {len(done)} points failed; the first at {where}: {done[failed[0]].error}"
+        warnings.warn(said, MfcWarning, stacklevel=3)
+    return done
 
 
-def _checked(build: Any, grid: Any, measure: Any) -> tuple[tuple[str, ...], dict[str, list[Any]]]:
+def _checked(build: Any, grid: Any, measure: Any) -> dict[str, list[Any]]:
     for name, given in (("build", build), ("measure", measure)):
         if not callable(given):
             raise BadArgument(name, given, "a function")
@@ -83,7 +99,7 @@ def _checked(build: Any, grid: Any, measure: Any) -> tuple[tuple[str, ...], dict
         axes[name] = [x.item() if isinstance(x, np.generic) else x for x in values]
         if not axes[name]:
             raise BadArgument(f"grid[{name!r}]", values, "at least one value")
-    return tuple(axes), axes
+    return axes
 
 
 def one_point(build: Callable[..., Any], measure: Callable[[Any], Any], point: Mapping[str, Any]) -> Point:
@@ -97,31 +113,16 @@ def one_point(build: Callable[..., Any], measure: Callable[[Any], Any], point: M
         return Point(None, f"{type(why).__name__}: {' '.join(str(why).split())}")
 
 
-def _run(
-    build: Callable[..., Any], measure: Callable[[Any], Any], points: list[dict[str, Any]], n_jobs: int | None, progress: bool
-) -> Iterator[Point]:
-    import joblib
-    from joblib.parallel import get_active_backend
-
-    streams = bool(getattr(get_active_backend()[0], "supports_return_generator", False))  # Dask, for example, does not
-    parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator" if streams else "list")
-    with _bar(progress, len(points)) as advance:
-        done: Iterator[Point] = iter(parallel(joblib.delayed(one_point)(build, measure, p) for p in points))  # pyright: ignore[reportArgumentType, reportAssignmentType]
-        for point in done:
-            advance()
-            yield point
-
-
 @contextmanager
-def _bar(progress: bool, total: int) -> Iterator[Callable[[], None]]:
+def _bar(progress: bool, total: int, title: str) -> Iterator[Callable[[], None]]:
     if not progress:
         yield lambda: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    with Progress(TextColumn("sweep"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
-        task = bar.add_task("sweep", total=total)
+    with Progress(TextColumn(title), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
+        task = bar.add_task(title, total=total)
         yield lambda: bar.advance(task)
 
 

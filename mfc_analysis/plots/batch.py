@@ -13,7 +13,8 @@ import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
@@ -28,6 +29,8 @@ Made = TypeVar("Made")
 
 MANY = 20  #: up to this number of figures one process is faster: starting others takes about a second
 SHARE = 4  #: figures drawn between two calls of ``progress``
+
+_shared: ContextVar[Popen[bytes] | None] = ContextVar("shared", default=None)  #: that of ``second_process``
 
 _START = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from mfc_analysis.plots.batch import serve; serve()"
 
@@ -51,14 +54,27 @@ def drawn(recipes: Sequence[Any], *, progress: Callable[[int], None] | None = No
     return [text for some in out for text in some]
 
 
+@contextmanager
+def second_process() -> Iterator[None]:
+    """One second process for all that is done ``in_two_processes`` within, started at once: it loads its modules while this one loads its own."""
+    process = _second()
+    token = _shared.set(process)
+    try:
+        yield
+    finally:
+        _shared.reset(token)
+        _end(process)
+
+
 def in_two_processes(tasks: Iterable[Callable[[], Made]]) -> Iterator[Made]:
-    """What each task returns, in order, as it comes; a second process does some of the tasks, where there is a core for it.
+    """What each task returns, in order, as it comes; a second process does some of the tasks, where there is a core for it, and ends with them.
 
     A task that cannot be sent, or that fails there, is done here: its error is raised here.
     """
     given = list(tasks)
     waiting, done, news = deque(range(len(given))), dict[int, Callable[[], Made]](), threading.Condition()
-    second = _second() if len(given) > 1 else None
+    shared = _shared.get()
+    second = shared if shared is not None and shared.poll() is None else _second() if len(given) > 1 else None
 
     def others() -> None:
         while second is not None and waiting:
@@ -71,6 +87,7 @@ def in_two_processes(tasks: Iterable[Callable[[], Made]]) -> Iterator[Made]:
 
     thread = threading.Thread(target=others, daemon=True)
     thread.start()
+    finished = False
     try:
         for k in range(len(given)):
             while k not in done:
@@ -83,13 +100,14 @@ def in_two_processes(tasks: Iterable[Callable[[], Made]]) -> Iterator[Made]:
                 else:
                     done[here] = partial(_told, given[here](), ())
             yield done.pop(k)()
+        finished = True
     finally:
         waiting.clear()
-        if second is not None:
+        if second is not None and (second is not shared or not finished):  # it may be busy with a task that nobody waits for
             second.kill()
-            thread.join()
-            with suppress(OSError), second:  # closes its pipes
-                pass
+        thread.join()
+        if second is not shared:
+            _end(second)
 
 
 def _second() -> Popen[bytes] | None:
@@ -105,6 +123,13 @@ def _second() -> Popen[bytes] | None:
     except OSError:
         return None
     return found
+
+
+def _end(process: Popen[bytes] | None) -> None:
+    if process is not None:
+        process.kill()
+        with suppress(OSError), process:  # closes its pipes
+            pass
 
 
 def _send(process: Popen[bytes], content: bytes) -> None:

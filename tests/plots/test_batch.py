@@ -18,7 +18,7 @@ import pytest
 from mfc_analysis import plots
 from mfc_analysis.errors import MfcWarning
 from mfc_analysis.plots import batch, figure as sheet
-from mfc_analysis.plots.batch import MANY, drawn, in_two_processes
+from mfc_analysis.plots.batch import MANY, drawn, in_two_processes, second_process
 from tests.plots import kinds
 
 KINDS = kinds.every_kind()
@@ -132,6 +132,28 @@ def test_tasks_are_done_here_where_no_process_can_be_started(monkeypatch, broken
     else:
         monkeypatch.setattr(sys, "executable", "")
     assert set(in_two_processes([partial(where, 0.0)] * 3)) == {os.getpid()}
+
+
+@two_cores
+def test_one_second_process_does_its_share_of_all_that_is_done_within():
+    with second_process():
+        numbers = [set(in_two_processes([where] * 30)) - {os.getpid()} for _ in range(3)]
+        assert len(numbers[0]) == 1 and numbers[1:] == numbers[:1] * 2
+        assert not gone(*numbers[0])
+    assert gone(*numbers[0])
+    assert set(in_two_processes([where] * 30)) - {os.getpid()} not in numbers
+
+
+@two_cores
+def test_a_shared_second_process_that_is_lost_or_left_with_a_task_is_done_without(monkeypatch):
+    monkeypatch.setenv("MFC_TEST_PARENT", str(os.getpid()))
+    for tasks, seen in (([where, *(partial(dies, k) for k in range(10))], 11), ([where] * 20, 1)):
+        with second_process():
+            found = in_two_processes(tasks)
+            for _ in range(seen):
+                next(found)
+            found.close()
+            assert [one() for one in in_two_processes([partial(partial, int, str(k)) for k in range(20)])] == list(range(20))
 
 
 def test_an_unfinished_run_leaves_no_process():

@@ -6,13 +6,12 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mfc_analysis.plots.batch import in_two_processes
+from mfc_analysis.plots.batch import in_two_processes, second_process
 from mfc_analysis.report.document.document import Column, Document, Number, Scope, Section, Table, written
 from mfc_analysis.report.loops.record import gains_section, setups_section
 from mfc_analysis.report.render.write import FORMATS, Progress, render
@@ -46,11 +45,10 @@ def chapter_document(progress: Progress | None = None, parts: Sequence[Part] | N
     from mfc_analysis.report.document.provenance import provenance
     from mfc_analysis.report.document.symbols import symbols
 
-    modules = collected()
     if parts is None:
-        names = set(modules)
-        order = [name for name in LONGEST_FIRST if name in names] + [name for name in modules if name not in LONGEST_FIRST]
-        tasks: Iterable[Iterable[Section]] = in_two_processes([partial(modules[name], full=full) for name in order])
+        names = set(PARTS)
+        order = [*LONGEST_FIRST, *(name for name in PARTS if name not in LONGEST_FIRST)]
+        tasks: Iterable[Iterable[Section]] = in_two_processes([partial(part_sections, name, full) for name in order])
     else:
         names = {getattr(part, "__module__", "").rpartition(".")[2] for part in parts}
         order, tasks = [str(k) for k in range(len(parts))], (part() for part in parts)
@@ -59,7 +57,7 @@ def chapter_document(progress: Progress | None = None, parts: Sequence[Part] | N
         found[name] = some
         if progress is not None:
             progress(len(found), len(order))
-    sections = [section for name in (order if parts is not None else modules) for section in found[name]]
+    sections = [section for name in (order if parts is not None else PARTS) for section in found[name]]
     tool, force = bool(names & set(TOOL)), bool(names & set(FORCE))
     settings = {"seed of the disturbed starts": 0, "tolerances of runs": "rtol 1e-6, atol 1e-9; comparison rtol 1e-10, atol 1e-12"}
     last = "9.24" if force else "9.16" if tool else "9.13"
@@ -100,18 +98,14 @@ def write_chapter(
         if progress is not None:
             progress(share + share * done // total, 2 * share)
 
-    return render(chapter_document(analysed, full=full), folder, formats, timestamp=timestamp, progress=drawn)
+    with second_process():
+        return render(chapter_document(analysed, full=full), folder, formats, timestamp=timestamp, progress=drawn)
 
 
-def collected() -> dict[str, Callable[..., Iterable[Section]]]:
-    """The ``sections`` function of each available module of ``PARTS``, by its name."""
-    out = {}
-    for name in PARTS:
-        if find_spec(f"{ROOM}.{name}") is not None:
-            part = getattr(import_module(f"{ROOM}.{name}"), "sections", None)
-            if part is not None:
-                out[name] = part
-    return out
+def part_sections(name: str, full: bool) -> tuple[Section, ...]:
+    """The sections of a module of ``PARTS``; it is loaded by the process that makes them."""
+    found: tuple[Section, ...] = import_module(f"{ROOM}.{name}").sections(full=full)
+    return found
 
 
 # --- over all loops ----------------------------------------------------------------------------------------------------------
