@@ -1,4 +1,4 @@
-"""The family of errors. Every one a user can cause is also a ``ValueError``; data are attributes, the message is a sentence.
+"""The family of errors. Every one that an argument can cause is also a ``ValueError``; data are attributes, the message is a sentence.
 
 ::
 
@@ -11,6 +11,7 @@
     +-- NearSingular         a Jacobian is nearly singular: time, frame, smallest singular value (ValueError)
     +-- NotConverged         an inverse kinematics, equilibrium or shooting search does not converge (ValueError)
     +-- NearPi               a pose error within 1e-3 rad of pi, where log6 jumps (ValueError)
+    +-- MissingExtra         libraries of an extra are not installed; names it                (ImportError)
 
 Warnings: ``MfcWarning`` (a ``UserWarning``) for suspicious input that still has a result.
 """
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from importlib.util import find_spec
 from typing import Any
 
 __all__ = [
@@ -26,6 +28,7 @@ __all__ = [
     "BadRobot",
     "MfcError",
     "MfcWarning",
+    "MissingExtra",
     "NearPi",
     "NearSingular",
     "NotConverged",
@@ -36,6 +39,12 @@ __all__ = [
 
 MOST_NAMES = 40  #: names that a message lists; a whole humanoid has hundreds of frames
 LONGEST_NAME = 200  #: characters of a name that is compared with the known ones
+#: optional extra -> what needs it, and the libraries that this imports
+EXTRAS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "report": ("reports", ("jinja2", "typst")),
+    "study": ("studies", ("pydantic", "ruamel.yaml")),
+    "sweep": ("sweeps", ("xarray",)),
+}
 
 
 def __dir__() -> list[str]:
@@ -136,6 +145,29 @@ class NearPi(MfcError, ValueError):
     def at(self, time: float | None) -> NearPi:
         """The same error with a time [s], if it has none."""
         return NearPi(self.angle, time if self.time is None else self.time, self.index)
+
+
+class MissingExtra(MfcError, ImportError):
+    """Libraries of an optional extra are not installed: ``extra`` is its name, ``missing`` are the libraries."""
+
+    def __init__(self, extra: str, missing: Sequence[str]) -> None:
+        self.extra, self.missing = extra, tuple(missing)
+        what, libraries = EXTRAS[extra]
+        super().__init__(f'{what} need {" and ".join(libraries)}: pip install "mfc-analysis[{extra}]"')
+
+
+def require(extra: str) -> None:
+    """Raises MissingExtra where a library of an extra is not installed. Loads none of them."""
+    missing = [name for name in EXTRAS[extra][1] if not _installed(name)]
+    if missing:
+        raise MissingExtra(extra, missing)
+
+
+def _installed(library: str) -> bool:
+    try:
+        return find_spec(library) is not None
+    except ImportError:  # the package that it is part of
+        return False
 
 
 def short(value: Any, most: int = 120) -> str:

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from mfc_analysis.errors import MissingExtra, require
+
 if TYPE_CHECKING:
     from mfc_analysis.report.verification import Record
     from mfc_analysis.testing import Asserted
@@ -47,6 +49,10 @@ def pytest_configure(config: pytest.Config) -> None:
     unknown = [f for f in formats if f not in FORMATS.split(",")]
     if unknown:
         raise pytest.UsageError(f"--mfc-report-formats: got {unknown[0]!r}; takes some of {FORMATS}")
+    try:
+        require("report")
+    except MissingExtra as why:
+        raise pytest.UsageError(f"--mfc-report: {why}") from why
     config.pluginmanager.register(Collector(config, Path(folder), formats), "mfc-analysis-collector")
 
 

@@ -40,7 +40,9 @@ FLOORS["__main__"] = {"cli"}
 
 FILES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in sorted((ROOT / PACKAGE).rglob("*.py"))}
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
-LIBRARIES = {"pinocchio": "robots", "matplotlib": "plots", "solve_ivp": "simulation", "ruamel": "study"}
+#: what is imported in one room; those of an extra in the room that asks for it
+LIBRARIES = {"pinocchio": "robots", "matplotlib": "plots", "solve_ivp": "simulation", "typer": "cli"}
+LIBRARIES |= {"pydantic": "study", "ruamel": "study", "jinja2": "report", "typst": "report", "xarray": "design"}
 
 
 def imports(name: str) -> set[tuple[str, str]]:

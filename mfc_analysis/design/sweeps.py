@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mfc_analysis.errors import BadArgument, MfcWarning
+from mfc_analysis.errors import BadArgument, MfcWarning, require
 from mfc_analysis.linearization.chunks import checked_jobs
 
 if TYPE_CHECKING:
@@ -53,7 +53,9 @@ def sweep(
 
     Raises:
         BadArgument: functions that cannot be called, an empty grid or axis, inconsistent results.
+        MissingExtra: xarray is not installed.
     """
+    require("sweep")
     axes = _checked(build, grid, measure)
     return _gathered(axes, evaluated(build, axes, measure, n_jobs, progress, "sweep"))
 

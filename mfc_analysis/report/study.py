@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mfc_analysis.errors import MfcError
+from mfc_analysis.report.document.document import Block, Bullets, Column, Document, Figure, Number, Paragraph, Section, Table
 from mfc_analysis.study.check import LoopCheck, check as check_study
 from mfc_analysis.study.errors import StudyError
 from mfc_analysis.study.limits import COLUMNS, LoopLimits, limits, requirement_limits
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from mfc_analysis.analysis.frf import FrequencyResponse
     from mfc_analysis.design.searches import Limit
     from mfc_analysis.design.tuning import Tuned
-    from mfc_analysis.report.document.document import Document, Section
     from mfc_analysis.requirements.line import Line
     from mfc_analysis.study.read import Study
 
@@ -105,7 +105,6 @@ def document(study: Study, done: Callable[[str], None] | None = None, progress: 
 
 def ranges_section(found: LoopCheck) -> Section:
     """The worst line of each requirement over the ranges with its case, and the result of each case."""
-    from mfc_analysis.report.document.document import Column, Section, Table
     from mfc_analysis.report.loops.checks import checks
     from mfc_analysis.requirements.line import Status
 
@@ -130,7 +129,6 @@ def _found(line: Line) -> str:
 def measured_section(name: str, found: FrequencyResponse, over: Comparison, *, many: bool) -> Section:
     """A measured loop over the model: the verdict, the picture, and the margins of both."""
     from mfc_analysis import plots
-    from mfc_analysis.report.document.document import Column, Figure, Paragraph, Section, Table
 
     rows = over.rows()
     said = f"{over.verdict[:1].upper()}{over.verdict[1:]}."
@@ -149,8 +147,6 @@ def measured_section(name: str, found: FrequencyResponse, over: Comparison, *, m
 
 def limits_section(name: str, searched: Sequence[Limit], *, many: bool) -> Section:
     """The limits found, and the requirement that fails beyond each."""
-    from mfc_analysis.report.document.document import Column, Number, Section, Table
-
     columns = (Column("Limit", numeric=False), Column("Value"), Column("Limited by", numeric=False), Column("Loops evaluated"))
     rows = tuple(
         (limit.name, Number(float(limit), limit.unit, digits=5), "; ".join([limit.binds or limit.outcome.value, *limit.notes]), limit.evaluations)
@@ -166,7 +162,6 @@ def limits_section(name: str, searched: Sequence[Limit], *, many: bool) -> Secti
 def would_pass_section(found: LoopLimits, *, many: bool) -> Section:
     """The limits at which the requirements are met, with what binds and its pose, and what each imperfection costs as a table and bars."""
     from mfc_analysis import plots
-    from mfc_analysis.report.document.document import Block, Bullets, Column, Figure, Section, Table
 
     name, costs = found.loop.name, found.costs
     head = tuple(Column(word[:1].upper() + word[1:], numeric=False) for word in COLUMNS)
@@ -190,8 +185,6 @@ def would_pass_section(found: LoopLimits, *, many: bool) -> Section:
 
 def tuned_section(name: str, found: Tuned, *, many: bool) -> Section:
     """The tuned gains, what binds, and what one more hertz would miss."""
-    from mfc_analysis.report.document.document import Bullets, Column, Number, Section, Table
-
     rows = tuple((gain, Number(value, digits=6)) for gain, value in found.gains.items())
     table = Table("Gains that meet the requirements over the path and the ranges.", (Column("Gain", numeric=False), Column("Value")), rows)
     lines = [line.strip() for line in str(found).splitlines()[1:]]

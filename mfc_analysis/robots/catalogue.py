@@ -289,7 +289,7 @@ class MissingRobots(MfcError, ValueError):
 
 
 def _data_folder(name: str) -> Path:
-    missing = "it needs the robot files of example-robot-data: pip install mfc-analysis[robots]" + (
+    missing = 'it needs the robot files of example-robot-data: pip install "mfc-analysis[robots]"' + (
         "; robots.ur5() is embedded" if name == "ur5" else ""
     )
     try:

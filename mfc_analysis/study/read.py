@@ -14,14 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
-
 from mfc_analysis.maths import checks, files
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.study.errors import StudyError
 from mfc_analysis.study.messages import explained, has
 from mfc_analysis.study.schema import LoopTable, SpanTable, StudyTable
-from mfc_analysis.study.tables import REFERENCES, PoseTable, Table, tables_of
+from mfc_analysis.study.tables import REFERENCES, PoseTable, Table, ValidationError, tables_of
 
 if TYPE_CHECKING:
     from mfc_analysis.loop import ClosedLoop

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, PlainValidator, model_validator
-
 from mfc_analysis.analysis.loop_step import SettlingStep
 from mfc_analysis.robots.catalogue import EMBEDDED
 from mfc_analysis.study.tables import (
+    BeforeValidator,
     Directions,
     EnvironmentTable,
+    Field,
     HardwareTable,
     Number,
+    PlainValidator,
     Pose,
     ReferenceTable,
     Table,
@@ -20,6 +21,7 @@ from mfc_analysis.study.tables import (
     Values,
     Vector,
     is_number,
+    model_validator,
     takes,
 )
 

@@ -1,5 +1,7 @@
 """The building blocks of a study file: numbers, vectors, tables with fixed keys; and the tables of poses and references.
 
+Every reader of studies imports this file. It raises MissingExtra where the libraries of studies are not installed.
+
 Units are SI and radians, except for keys that end in ``_deg`` or ``_hz``.
 """
 
@@ -9,10 +11,24 @@ import math
 import sys
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, PlainValidator, Tag, WithJsonSchema, model_validator
-from pydantic_core import PydanticCustomError
-
 from mfc_analysis.dynamics.coded import Rule
+from mfc_analysis.errors import require
+
+require("study")
+
+from pydantic import (  # noqa: E402  the only import of pydantic, after the check that it is installed
+    BaseModel,
+    BeforeValidator as BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field as Field,
+    PlainValidator as PlainValidator,
+    Tag,
+    ValidationError as ValidationError,
+    WithJsonSchema,
+    model_validator as model_validator,
+)
+from pydantic_core import PydanticCustomError  # noqa: E402
 
 
 def takes(what: str) -> PydanticCustomError:

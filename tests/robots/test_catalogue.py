@@ -151,7 +151,7 @@ def test_without_example_robot_data_the_error_says_what_to_install(monkeypatch):
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(catalogue.importlib.metadata, "files", missing)
-    with pytest.raises(ValueError, match=r"pip install mfc-analysis\[robots\]"):
+    with pytest.raises(ValueError, match=r'pip install "mfc-analysis\[robots\]"'):
         robots.load("panda")
     assert robots.load("planar_2r").n == 2
     assert "panda" in robots.names()

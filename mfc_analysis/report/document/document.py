@@ -10,6 +10,7 @@
 Banner, picture, matrix and worst case are computed from the sections' checks (``verdict.py``); they are never written by hand.
 PASS, WATCH and FAIL judge a loop by its requirements. DEMO is what is shown to make a point, CONFIRMED is theory checked; neither counts.
 Text is a string, or a tuple of strings and spans (``Math``, ``Mono``, ``Strong``, ``Link``). A string is always text, never markup.
+Everything that makes a report imports this file. It raises MissingExtra where the libraries of reports are not installed.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from mfc_analysis.errors import BadArgument
+from mfc_analysis.errors import BadArgument, require
 from mfc_analysis.requirements.line import Line, Status, worst
+
+require("report")
 
 # --- text --------------------------------------------------------------------------------------------------------
 
