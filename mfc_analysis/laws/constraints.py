@@ -193,7 +193,7 @@ def checked_rows(A: ArrayLike | ConstraintSet, argument: str = "constraints") ->
     if isinstance(A, ConstraintSet):
         return A.rows
     rows = checks.array(argument, A, (None, 6), "(k, 6) linearly independent rows A with A V_b = 0, or a ConstraintSet")
-    if np.linalg.matrix_rank(rows) < rows.shape[0]:
+    if rows.size and np.linalg.matrix_rank(rows) < rows.shape[0]:  # older numpy has no rank of no rows
         raise BadArgument(argument, A, "(k, 6) linearly independent rows A with A V_b = 0, or a ConstraintSet")
     return rows
 

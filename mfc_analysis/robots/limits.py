@@ -35,8 +35,8 @@ def limits_of(model: pin.Model, order: NDArray[np.intp]) -> Limits:
     Raises ``BadRobot``, which names the joint, where a lower limit is above the upper one, or a velocity or torque is negative or not a number.
     """
     lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-    speed = np.array(model.upperVelocityLimit if hasattr(model, "upperVelocityLimit") else model.velocityLimit)
-    torque = np.array(model.upperEffortLimit if hasattr(model, "upperEffortLimit") else model.effortLimit)
+    speed = np.array(model.upperVelocityLimit)
+    torque = np.array(model.upperEffortLimit)
     for name, j in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
         low, high = float(model.lowerPositionLimit[j.idx_q]), float(model.upperPositionLimit[j.idx_q])
         if j.nq == 1 and not low <= high:

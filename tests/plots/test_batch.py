@@ -113,7 +113,8 @@ def test_a_second_process_takes_its_share_and_is_gone_afterwards():
 def test_results_come_in_order_and_warnings_with_them():
     with pytest.warns(MfcWarning) as said:
         assert list(in_two_processes([partial(square, k) for k in range(20)])) == [k * k for k in range(20)]
-    assert sorted(str(one.message) for one in said) == sorted(f"squared {k}" for k in range(20))
+    ours = [str(one.message) for one in said if issubclass(one.category, MfcWarning)]  # matplotlib 3.10 uses old names of pyparsing
+    assert sorted(ours) == sorted(f"squared {k}" for k in range(20))
 
 
 @two_cores
