@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import mfc_analysis
 
@@ -81,6 +83,31 @@ def test_the_newest_heading_of_the_changelog_is_the_version() -> None:
     assert re.fullmatch(rf"{re.escape(mfc_analysis.__version__)} \((unreleased|\d{{4}}-\d\d-\d\d)\)", newest)
 
 
+# --- installing ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_conda_environment_has_the_ranges_of_the_package() -> None:
+    extras = project()["optional-dependencies"]
+    listed = [*project()["dependencies"], *(one for extra in ("report", "study", "sweep", "robots") for one in extras[extra])]
+    ranges = {one.name: one.specifier for one in map(Requirement, listed) if one.name != "mfc-analysis"}
+    environment = parsed("environment.yml")["dependencies"]
+    (own,) = (one["pip"] for one in environment if isinstance(one, dict))
+    asked = {one.name: one.specifier for one in map(Requirement, [*(x for x in environment if isinstance(x, str)), *own[:-1]])}
+    assert own[-1] == "." and "pip" in environment
+    assert asked.pop("pip") == "" and asked.pop("python") == project()["requires-python"]
+    asked["pin"] = asked.pop("pinocchio")
+    assert asked == ranges
+
+
+def test_every_pin_of_the_constraints_is_in_the_range_of_the_package() -> None:
+    listed = [*project()["dependencies"], *(one for extra in project()["optional-dependencies"].values() for one in extra)]
+    pins = {canonicalize_name(one.name): one for one in map(Requirement, re.findall(r"^\w.*$", read("constraints.txt"), re.MULTILINE))}
+    for one in map(Requirement, listed):
+        if one.name != "mfc-analysis":
+            (pin,) = pins[canonicalize_name(one.name)].specifier
+            assert one.specifier.contains(pin.version), one
+
+
 # --- the checks ----------------------------------------------------------------------------------------------------------
 
 
@@ -89,19 +116,27 @@ def test_the_workflow_runs_the_script_of_ci() -> None:
     assert re.search(r"^ +run: bash \.ci/run$", read(".github/workflows/ci.yml"), re.MULTILINE)
 
 
+def test_the_lowest_and_the_newest_versions_run_on_the_oldest_and_the_newest_python() -> None:
+    matrix = parsed(".github/workflows/ci.yml")["jobs"]["versions"]["strategy"]["matrix"]
+    named = [name.rpartition(":: ")[2] for name in project()["classifiers"] if re.search(r":: 3\.\d+$", name)]
+    assert matrix == {"python": [named[0], named[-1]], "versions": ["lowest", "newest"]}
+    assert re.search(r"^ +run: bash \.ci/versions \$\{\{ matrix\.versions \}\}$", read(".github/workflows/ci.yml"), re.MULTILINE)
+
+
 def test_the_workflow_may_only_read_and_ends_in_time() -> None:
     workflow = parsed(".github/workflows/ci.yml")
     assert set(workflow[True]) == {"push", "pull_request"}  # YAML 1.1 reads the key `on` as a truth value
     assert workflow["permissions"] == {"contents": "read"}
-    for job in workflow["jobs"].values():
+    oldest = project()["requires-python"].removeprefix(">=")
+    for name, job in workflow["jobs"].items():
         assert job["timeout-minutes"] <= 30 and "permissions" not in job
         pythons = [step["with"]["python-version"] for step in job["steps"] if step.get("uses", "").startswith("actions/setup-python@")]
-        assert pythons == [project()["requires-python"].removeprefix(">=")], "CI runs on the oldest Python that is supported"
+        assert pythons == ["${{ matrix.python }}" if name == "versions" else oldest], "CI runs on the oldest Python that is supported"
 
 
 def test_contributors_are_told_the_commands_of_ci() -> None:
     guide = read("CONTRIBUTING.md")
-    checks = re.findall(r"^\.venv/bin/(?!python -m pip)\S.*$", read(".ci/run"), re.MULTILINE)
+    checks = re.findall(r"^\.venv/bin/(?!python -m (?:pip|build) |twine )\S.*$", read(".ci/run"), re.MULTILINE)
     tests = re.findall(r"\.venv/bin/python -m pytest.*$", read("README.md"), re.MULTILINE)
     assert len(checks) >= 5 and len(tests) == 1  # install, lint, format, types, docs
     for command in [*(check.replace("pip install -q", "pip install") for check in checks), *tests]:
