@@ -70,8 +70,9 @@ class ClosedLoop:
         hardware: ``Hardware``; omitted: ideal.
 
     Raises:
-        BadArgument or a subclass: inconsistent shapes, types or values; see the class of each argument.
-        A warning is issued where the reference leaves the joint limits.
+        BadArgument: or a subclass, for inconsistent shapes, types or values; see the class of each argument.
+
+    A warning is issued where the reference leaves the joint limits.
     """
 
     robot: Robot

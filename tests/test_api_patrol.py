@@ -57,8 +57,8 @@ METHODS = dict(methods())
 def api_page() -> dict[str, tuple[str, ...] | None]:
     """Module -> the members that the API page shows; None: all public ones."""
     out: dict[str, tuple[str, ...] | None] = {}
-    for block in (ROOT / "docs" / "api.md").read_text(encoding="utf-8").split("::: ")[1:]:
-        found = re.search(r"members: \[([^\]]+)\]", block)
+    for block in (ROOT / "docs" / "api.md").read_text(encoding="utf-8").split("automodule:: ")[1:]:
+        found = re.search(r":members: (.+)", block)
         out[block.split()[0]] = tuple(name.strip() for name in found[1].split(",")) if found else None
     return out
 

@@ -1,29 +1,45 @@
-"""The documentation's own checker: what it lets pass, and what it doesn't."""
+"""What the documentation's checker lets pass, and what it doesn't; and the paths that the guide names."""
 
 from __future__ import annotations
 
 import importlib.util
 import pkgutil
 import re
-import sys
+import traceback
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from sybil import Document
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "reports" / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "reports" / "README.md", *(ROOT / "docs").rglob("*.md")])
 SOURCES = sorted(path for folder in ("mfc_analysis", "docs", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
 
 
 @pytest.fixture(scope="module")
-def build() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("docs_build", ROOT / "docs" / "build.py")
+def checker() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("docs_checker", ROOT / "docs" / "conftest.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["docs_build"] = module
     spec.loader.exec_module(module)
     return module
+
+
+def wrong(checker: ModuleType, path: Path, text: str) -> str | None:
+    """What is wrong with a page of this text, or None."""
+    path.write_text(text, encoding="utf-8")
+    try:
+        page = Document.parse(str(path), checker.blocks)
+        checker.enter(page.namespace)
+        try:
+            for block in page:
+                block.evaluate()
+        finally:
+            checker.leave(page.namespace)
+    except Exception as why:  # whatever a page raises
+        return "".join(traceback.format_exception(why))
+    return None
 
 
 @pytest.mark.parametrize(
@@ -46,17 +62,18 @@ def build() -> ModuleType:
         ("1.0 2.0", "1.0", False),
     ],
 )
-def test_what_is_shown_agrees_with_what_is_printed(build: ModuleType, shown: str, printed: str, same: bool) -> None:
-    assert build.agree(shown, printed) is same
+def test_what_is_shown_agrees_with_what_is_printed(checker: ModuleType, shown: str, printed: str, same: bool) -> None:
+    assert checker.agree(shown, printed) is same
 
 
-def test_a_page_falls_into_its_blocks(build: ModuleType, tmp_path: Path) -> None:
+def test_a_page_falls_into_its_blocks(checker: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     page = tmp_path / "page.md"
     page.write_text("# A\n\n```python\nprint(1)\n```\n\n```text\n1\n```\n\n```toml\n# file: a.toml\nx = 1\n```\n\nwords\n\n```text\nfree\n```\n")
-    python, toml, text = build.blocks(page)
-    assert (python.kind, python.line, python.text, python.shown) == ("python", 4, "print(1)\n", "1\n")
-    assert toml.file == "a.toml" and python.file is None
-    assert (text.kind, text.shown) == ("text", None)
+    python, toml = Document.parse(str(page), checker.blocks)
+    assert (python.line, python.parsed, python.region.lexemes["shown"]) == (3, "print(1)\n", "1\n")
+    toml.evaluate()
+    assert Path("a.toml").read_text() == "# file: a.toml\nx = 1\n"
 
 
 @pytest.mark.parametrize(
@@ -72,22 +89,22 @@ def test_a_page_falls_into_its_blocks(build: ModuleType, tmp_path: Path) -> None
         ("```python\nx = 1\n", "a fence that never closes"),
     ],
 )  # fmt: skip
-def test_a_page_that_does_not_do_what_it_says_is_wrong(build: ModuleType, page: str, said: str | None, tmp_path: Path) -> None:
-    path = tmp_path / "page.md"
-    path.write_text(page)
-    found = build.checked(path)
-    assert found is None if said is None else said in found
+def test_a_page_that_does_not_do_what_it_says_is_wrong(checker: ModuleType, page: str, said: str | None, tmp_path: Path) -> None:
+    found = wrong(checker, tmp_path / "page.md", page)
+    assert found is None if said is None else said in str(found)
 
 
-def test_an_error_names_the_line_of_the_page(build: ModuleType, tmp_path: Path) -> None:
-    path = tmp_path / "page.md"
-    path.write_text("words\n\n```python\nx = 1\nassert x == 2\n```\n")
-    assert 'File "page.md", line 5' in build.checked(path)
+def test_an_error_names_the_line_of_the_page(checker: ModuleType, tmp_path: Path) -> None:
+    assert 'page.md", line 5' in str(wrong(checker, tmp_path / "page.md", "words\n\n```python\nx = 1\nassert x == 2\n```\n"))
+    assert "page.md, line 3, column 1 did not evaluate" in str(
+        wrong(checker, tmp_path / "page.md", "a\n\n```python\nprint(1)\n```\n\n```text\n2\n```\n")
+    )
 
 
-def test_results_that_are_not_there_yet_are_said_to_be_missing(build: ModuleType) -> None:
-    assert "has not been written" in build.on_page_markdown("<!-- include: benchmarks/no_such_file.md -->")
-    assert "The family" not in build.on_page_markdown("words") and "BSD" in build.on_page_markdown("<!-- include: README.md -->")
+def test_a_block_draws_a_picture_beside_the_page(checker: ModuleType, tmp_path: Path) -> None:
+    page = "```python\nfrom matplotlib import pyplot\npyplot.plot([0, 1])  # picture: line.png\n```\n"
+    assert wrong(checker, tmp_path / "page.md", page) is None
+    assert (tmp_path / "pictures" / "line.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def missing(text: str, *folders: Path) -> list[str]:
@@ -121,7 +138,7 @@ def test_every_path_that_a_source_names_exists() -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if "](pictures/" in page.read_text(encoding="utf-8")], ids=lambda page: page.name)
-def test_every_picture_of_a_page_is_drawn_by_one_of_its_blocks(build: ModuleType, page: Path) -> None:
+def test_every_picture_of_a_page_is_drawn_by_one_of_its_blocks(checker: ModuleType, page: Path) -> None:
     shown = re.findall(r"\]\(pictures/(\S+)\)", page.read_text(encoding="utf-8"))
-    drawn = [name for block in build.blocks(page) if block.kind == "python" for name in re.findall(r"#.*\bpicture: (\S+)", block.text)]
+    drawn = [name for block in Document.parse(str(page), checker.blocks) for name in re.findall(r"#.*\bpicture: (\S+)", block.parsed)]
     assert shown and shown == drawn

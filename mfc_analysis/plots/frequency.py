@@ -43,9 +43,14 @@ def bode(
     """Magnitude and phase of L over frequency [rad/s], with the phase margin at its crossover and both gain margins marked.
 
     Args:
-        frequencies: (nf,) [rad/s]; L: (nf,) complex.
-        crossover [rad/s], phase_margin [deg], gain_increase and gain_reduction (factors), and their frequencies [rad/s]: as in ``Margins``.
-            Without its frequency, a gain margin is drawn where the curve crosses the negative real axis.
+        frequencies: (nf,) [rad/s].
+        L: (nf,) complex.
+        crossover: [rad/s], as in ``Margins``.
+        phase_margin: [deg].
+        gain_increase: factor.
+        gain_reduction: factor.
+        increase_frequency: [rad/s]; omitted: where the curve crosses the negative real axis.
+        reduction_frequency: [rad/s]; omitted: where the curve crosses the negative real axis.
         index: the joint, for its colour.
     """
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)

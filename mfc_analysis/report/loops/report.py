@@ -47,9 +47,14 @@ def write(
         formats: some of "html", "pdf", "json".
         requirements: of all loops, or of each by name; omitted: stability only.
         at: analysis point of the margins, of all loops or of each by name; omitted: the plant input.
-        title: of the report; name: of its files.
-        command, inputs (name -> bytes, shown by their SHA-256), settings, date: provenance; the clock is not read.
-        timestamp: the PDF's date [s since 1970]. progress: called with (done, of how many).
+        title: of the report.
+        name: of its files.
+        command: provenance, as the page shows it.
+        inputs: provenance, name to content; shown by their SHA-256.
+        settings: provenance, name to value.
+        date: provenance; the clock is not read.
+        timestamp: the PDF's date [s since 1970].
+        progress: called with (done, of how many).
 
     Raises BadArgument or a related error for invalid loops, times, formats or analysis points, and for a folder that is a file.
     """
