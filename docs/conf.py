@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import sys
 from pathlib import Path
@@ -11,6 +13,7 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 sys.path[:0] = [str(ROOT), str(DOCS)]
 
+import house  # noqa: E402
 from names import ALIASES  # noqa: E402
 
 from mfc_analysis import __version__  # noqa: E402
@@ -18,10 +21,34 @@ from mfc_analysis import __version__  # noqa: E402
 #: heading in the navigation -> its pages
 NAVIGATION = {
     "Start": ["install", "start", "faq", "cheat_sheet"],
-    "The chapter": ["velocity", "joint_torque", "task", "force", "hybrid", "impedance", "misprints"],
-    "Reading the numbers": ["conventions", "margins", "hardware", "armature", "passivity", "plain", "from_control", "pictures", "measured"],
-    "Working with it": ["testing", "studies", "controllers", "reports", "adding", "performance"],
-    "Reference": ["api", "reference/index"],
+    "The chapter": [
+        "Velocity inputs, 9.1-9.5 <velocity>",
+        "Joint torques, 9.6-9.13 <joint_torque>",
+        "Tool space, 9.14-9.16 <task>",
+        "Force, 9.17-9.23 <force>",
+        "Hybrid, 9.24 <hybrid>",
+        "impedance",
+        "misprints",
+    ],
+    "Reading the numbers": [
+        "conventions",
+        "Margins <margins>",
+        "Hardware <hardware>",
+        "armature",
+        "Passivity and impact <passivity>",
+        "plain",
+        "from_control",
+        "pictures",
+        "measured",
+    ],
+    "Working with it": ["testing", "studies", "controllers", "reports", "Laws and robots of your own <adding>", "performance"],
+    "Examples": [
+        "Scripts <gallery>",
+        "An arm with dead time <notebooks/arm_with_dead_time>",
+        "notebooks/which_gains",
+        "notebooks/why_it_bounces_on_steel",
+    ],
+    "Reference": ["api", "By topic <reference/index>"],
     "The project": ["built", "changelog", "cite"],
 }
 
@@ -34,10 +61,14 @@ nitpicky = True
 
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 4
-nb_execution_mode = "off"
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+os.environ |= {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # of the kernels
 
 autodoc_default_options = {"members": True, "member-order": "bysource"}
-autodoc_typehints = "description"
+autodoc_typehints = "both"
+autodoc_typehints_description_target = "documented_params"
 autodoc_typehints_format = "short"
 autodoc_type_aliases = {name: name for name in ALIASES}
 python_use_unqualified_type_names = True
@@ -53,14 +84,27 @@ html_copy_source = False
 html_show_copyright = False
 
 
+def gather(app: Any) -> None:
+    """Puts what is drawn or kept elsewhere beside the pages: the picture of the house, the notebooks of ``examples/``."""
+    for folder in ("pictures", "notebooks"):
+        (DOCS / folder).mkdir(exist_ok=True)
+    (DOCS / "pictures" / "house.svg").write_text(house.svg(), encoding="utf-8")
+    for book in (ROOT / "examples").glob("*.ipynb"):
+        cells = json.loads(book.read_text(encoding="utf-8"))
+        cells["cells"][0]["source"] += ["\n\n", f"{{download}}`Download this notebook <../../examples/{book.name}>`"]
+        (DOCS / "notebooks" / book.name).write_text(json.dumps(cells), encoding="utf-8")
+
+
 def read(app: Any, page: str, source: list[str]) -> None:
-    """``<!-- include: FILE -->`` becomes the text of the file; the first page gets the navigation, so that it stays plain Markdown."""
+    """What pages that stay plain Markdown need: ``<!-- include: FILE -->``, notebooks as pages, and on the first page the navigation."""
+    source[0] = re.sub(r"\]\(\.\./examples/(\w+\.ipynb)\)", r"](notebooks/\1)", source[0])
     source[0] = re.sub(r"<!-- include: (\S+) -->", lambda found: (ROOT / found[1]).read_text(encoding="utf-8"), source[0])
     if page == "index":
         for heading, pages in NAVIGATION.items():
-            there = [name for name in pages if (DOCS / f"{name}.md").exists()]
+            there = [page for page in pages if list(DOCS.glob(re.sub(r".*<(.*)>", r"\1", page) + ".*"))]
             source[0] += f"\n\n```{{toctree}}\n:hidden:\n:caption: {heading}\n\n" + "\n".join(there) + "\n```\n"
 
 
 def setup(app: Any) -> None:
+    app.connect("builder-inited", gather, priority=1)
     app.connect("source-read", read)

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import ast
 import importlib
+import inspect
 import pkgutil
 import re
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.util.inspect import TypeAliasForwardRef
+from sphinx.util.nodes import make_refnode
 
 import mfc_analysis
 
@@ -46,9 +51,36 @@ def load_types(app: Sphinx) -> None:
         waiting = late
 
 
+ENTRY = re.compile(r"([\w*]+(?:, [\w*]+)*): (.*)")
+
+
+def one_each(lines: list[str], names: set[str]) -> list[str]:
+    """``Args`` with an entry for each parameter: ``kp: [1/s^2], kd: [1/s]`` and ``a, b: [s]`` are two each."""
+    out: list[str] = []
+    inside, indent = False, 0
+    for line in lines:
+        if line.strip() in ("Args:", "Raises:", "Returns:", "Warns:"):
+            inside, indent = line.strip() == "Args:", 0
+        elif inside and line.strip():
+            depth = len(line) - len(line.lstrip())
+            indent = indent or depth
+            inside = depth >= indent
+            if inside and depth == indent and ENTRY.match(line.strip()):
+                starts = "|".join(map(re.escape, sorted(names)))
+                found = [ENTRY.match(part) for part in re.split(rf"[,;.] (?=(?:{starts})(?:, (?:{starts}))*: )", line.strip())]
+                each = [(name, part[2]) for part in found if part for name in part[1].split(", ")]
+                out += [f"{' ' * indent}{name}: {text}" for name, text in each]
+                continue
+        out.append(line)
+    return out
+
+
 def prepare(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """``|s|`` is an absolute value, not a substitution; and what stands before a colon in the text of an attribute is not its type."""
+    """``|s|`` is an absolute value, no substitution; each parameter has its entry; what is before a colon in the text of an attribute is no type."""
     lines[:] = LITERAL.sub(lambda found: found[1] or r"\|", "\n".join(lines)).split("\n")
+    if what in ("class", "exception", "function", "method"):
+        with suppress(ValueError, TypeError):
+            lines[:] = one_each(lines, set(inspect.signature(thing).parameters))
     if what in ("attribute", "data", "property"):
         lines[:0] = ["..", ""]
 
@@ -80,8 +112,24 @@ def resolve(app: Sphinx, env: Any, node: Any, text: Any) -> Any:
     return None if thing is None else text
 
 
+class Links(SphinxPostTransform):
+    """``mfc.gains.pid(...)`` in the text of a page is a link to the reference."""
+
+    default_priority = 5
+
+    def run(self, **_: Any) -> None:
+        for node in list(self.document.findall(nodes.literal)):
+            found = re.fullmatch(r"mfc(?:_analysis)?\.([\w.]+)(?:\(.*\))?", node.astext(), re.DOTALL)
+            name = f"mfc_analysis.{found[1]}" if found else ""
+            known = self.env.domains.python_domain.objects.get(name)
+            if known and known.docname != self.env.current_document.docname and not isinstance(node.parent, nodes.reference):
+                to = make_refnode(self.app.builder, self.env.current_document.docname, known.docname, known.node_id, node.deepcopy(), name)
+                node.replace_self(to)
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("builder-inited", load_types)
     app.connect("autodoc-process-docstring", prepare, priority=400)
     app.connect("missing-reference", resolve)
+    app.add_post_transform(Links)
     return {"parallel_read_safe": True}

@@ -13,6 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 UNIT = re.compile(r"\d\s?(?:N|Nm|N/m|kg|Hz|deg|ms|mm|mrad|rad|rad/s|1/s|dB|s|m)\b")
 
 #: what each of them has to have found, told by its words
@@ -47,11 +48,9 @@ def test_an_example_is_a_page_that_states_its_question(script: Path) -> None:
 
 
 def test_every_example_is_in_the_guide() -> None:
-    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
-    assert {path.name for path in EXAMPLES} == set(FOUND) == set(re.findall(r"`(\w+\.py)` \|", index.split("## Examples")[1]))
-
-
-NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    assert {path.name for path in EXAMPLES} == set(FOUND) == set(re.findall(r"\]\(\.\./examples/(\w+\.py)\)", page))
+    assert {path.name for path in NOTEBOOKS} == set(re.findall(r"\]\(\.\./examples/(\w+\.ipynb)\)", page))
 
 
 @pytest.mark.parametrize("book", NOTEBOOKS, ids=lambda path: path.name)
@@ -63,5 +62,5 @@ def test_a_notebook_runs_from_top_to_bottom_and_shows_its_pictures(book: Path, t
     source, executed = (json.loads(path.read_text(encoding="utf-8"))["cells"] for path in (book, tmp_path / book.name))
     assert not any(cell.get("outputs") for cell in source)  # kept without outputs
     shown = [out["data"] for cell in executed for out in cell.get("outputs", []) if "data" in out]
-    assert sum("image/png" in data for data in shown) >= 4
-    assert sum("<table>" in "".join(data.get("text/html", "")) for data in shown) >= 4
+    assert sum("image/png" in data for data in shown) >= 2
+    assert any("text/html" in data for data in shown)
