@@ -1,0 +1,90 @@
+"""The reference of the guide: a page for each public name, with an example whose output is shown. ``pytest docs`` runs the examples."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mfc_analysis as mfc
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+PAGES = sorted(path for path in (DOCS / "reference").glob("*.md") if path.stem != "index")
+OTHER = {"errors", "behind"}  #: pages of several names
+
+
+def public_names() -> dict[str, Any]:
+    """Every name of the package and of its public rooms, without modules. A room without ``__all__`` offers what it defines."""
+    names: dict[str, Any] = {}
+    for name in dir(mfc):
+        thing = getattr(mfc, name)
+        if not inspect.ismodule(thing):
+            names[name] = thing
+            continue
+        made = [key for key in dir(thing) if not key.startswith("_") and getattr(getattr(thing, key), "__module__", "") == thing.__name__]
+        inside = {key: getattr(thing, key) for key in getattr(thing, "__all__", made)}
+        names |= {f"{name}.{key}": value for key, value in inside.items() if not inspect.ismodule(value)}
+    return {name: thing for name, thing in names.items() if not name.startswith("_")}
+
+
+PUBLIC = public_names()
+
+
+def named(name: str) -> Any:
+    """The object of a name within the package. Attributes come first: a function can have the name of its file."""
+    thing: Any = mfc
+    for part in name.split("."):
+        if not hasattr(thing, part):
+            importlib.import_module(f"{thing.__name__}.{part}")
+        thing = getattr(thing, part)
+    return thing
+
+
+def documented(page: Path) -> list[tuple[str, str]]:
+    """(kind, name within the package) of what a page documents."""
+    return re.findall(r"^\.\. auto(\w+):: mfc_analysis\.(\S+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_every_public_name_has_a_reference_page() -> None:
+    there = [named(name) for page in PAGES for _, name in documented(page)]
+    assert len(PUBLIC) > 150
+    assert [name for name, thing in PUBLIC.items() if not any(thing is other for other in there)] == []
+
+
+def test_names_of_pages_differ_by_more_than_capitals() -> None:
+    names = [page.name.lower() for page in PAGES]
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_documents_what_its_title_says(page: Path) -> None:
+    found = documented(page)
+    for kind, name in found:
+        assert inspect.isclass(named(name)) if kind == "class" else inspect.isroutine(named(name)) == (kind != "data")
+    assert found
+    if page.stem not in OTHER:
+        assert named(found[0][1]) == named(page.stem)
+        assert page.read_text(encoding="utf-8").startswith(f"# mfc.{page.stem}\n")
+        owner, _, method = page.stem.rpartition(".")
+        assert page.stem in PUBLIC or (inspect.isclass(PUBLIC[owner]) and not method.startswith("_"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_has_an_example_with_its_output_and_links_that_lead_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert re.search(r"^## Example\n\n\w.*\n(?:.+\n)*\n```python\n(?:.*\n)+?```\n\n```text\n *\S", text, re.MULTILINE)
+    shown, drawn = re.findall(r"\]\(pictures/(\S+)\)", text), re.findall(r"#.*\bpicture: (\S+)", text)
+    links = [link.split("#")[0] for link in re.findall(r"\]\((?!pictures/)(\S+)\)", text)]
+    assert shown == drawn and [link for link in links if not (page.parent / link).is_file()] == []
+    for name in set(re.findall(r"(?<![\w/.-])mfc\.((?:[A-Za-z_]\w*\.)*[A-Za-z_]\w*)", text)):
+        named(name)
+
+
+def test_the_index_lists_every_page_once() -> None:
+    index = (DOCS / "reference" / "index.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \[.*?\]\((\S+)\.md\) \| \S.* \|$", index, re.MULTILINE)
+    assert sorted(rows) == sorted(page.stem for page in PAGES)
