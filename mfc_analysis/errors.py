@@ -69,7 +69,7 @@ class MfcWarning(UserWarning):
 
 
 class BadArgument(MfcError, ValueError):
-    """An argument has the wrong shape, type or sign, or is not finite. The message names the argument, its value and what it takes."""
+    """An argument has the wrong shape, type or sign, or is not finite: the ``argument``, the value it ``got``, and what it ``takes``."""
 
     def __init__(self, argument: str, got: Any, takes: str) -> None:
         self.argument, self.got, self.takes = argument, got, takes
@@ -92,7 +92,7 @@ class UnknownName(BadArgument):
 
 
 class UnknownPoint(BadArgument):
-    """The loop cannot be opened at this analysis point."""
+    """The loop of this ``law`` cannot be opened at the analysis point ``at``, but at those ``known``."""
 
     def __init__(self, at: object, law: str, known: Sequence[str]) -> None:
         self.at, self.law, self.known = at, law, tuple(known)
@@ -108,7 +108,10 @@ class BadRobot(MfcError, ValueError):
 
 
 class NearSingular(MfcError, ValueError):
-    """A Jacobian is too close to singular to be inverted."""
+    """The Jacobian of a ``frame`` is too close to singular to be inverted.
+
+    ``sigma_min``: its smallest singular value; ``condition``: its condition number; ``time`` [s], where it is known; ``index`` of the configuration.
+    """
 
     def __init__(self, frame: str, sigma_min: float, condition: float, time: float | None = None, index: int = 0) -> None:
         self.frame, self.sigma_min, self.condition, self.time = frame, sigma_min, condition, time
@@ -125,14 +128,17 @@ class NearSingular(MfcError, ValueError):
 
 
 class NotConverged(MfcError, ValueError):
-    """A search (inverse kinematics, equilibrium, periodic orbit, roots) does not converge, and why."""
+    """A search (inverse kinematics, equilibrium, periodic orbit, roots) does not converge: ``what`` was looked for, and the ``reason``."""
 
     def __init__(self, what: str, reason: str = "") -> None:
         super().__init__(f"{what}: {reason}" if reason else what)
 
 
 class NearPi(MfcError, ValueError):
-    """The rotation angle of a pose error is within 1e-3 rad of pi, where the logarithm jumps."""
+    """The rotation ``angle`` [rad] of a pose error is within 1e-3 rad of pi, where the logarithm jumps.
+
+    ``time`` [s], where it is known; ``index`` of the configuration.
+    """
 
     def __init__(self, angle: float, time: float | None = None, index: int = 0) -> None:
         self.angle, self.time = angle, time

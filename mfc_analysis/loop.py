@@ -141,7 +141,7 @@ class ClosedLoop:
     # --- the operating points ------------------------------------------------------------------------------------
 
     def nominal(self, times: ArrayLike) -> Nominal:
-        """Reference motion of the joints (q, v, a), (m, n) each; tool references are followed from ``q_start`` (eq 9.14)."""
+        """Reference motion of the joints (q, v, a), (m, n) each, at ``times`` (m,) [s]; tool references are followed from ``q_start`` (eq 9.14)."""
         return nominal(self.equations, checks.times(times))
 
     def equilibrium(self) -> Equilibrium:
@@ -234,7 +234,7 @@ class ClosedLoop:
             disturbance: torque at the joints [Nm] (velocity laws: velocity [rad/s]), constant or a function of time.
             q, v: (n,) start position and velocity. integral: 0, "trimmed" or the integral state. force_integral: likewise, scalar or (6,).
             actuator: (n,) torque or velocity that the actuators with a lag or servo give at the start; None: the one commanded there.
-            x: (nx,) the full start state; replaces all of these.
+            x: (nx,) the full start state; replaces all of these. rtol, atol, method: of ``solve_ivp``.
             max_evaluations: of the equations of the loop (one of the Jacobian counts as 4, one of the plant under a held command as 1/4,
                 and the time of a solver written in Python is added);
                 None: about 10 s of work: 100 000 for a joint law without surfaces, fewer where one evaluation takes longer.

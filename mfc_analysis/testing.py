@@ -42,14 +42,14 @@ class Asserted:
     """One assertion, passed or not, as an observer receives it."""
 
     what: str  #: "assert_margins", ...
-    loop: ClosedLoop
+    loop: ClosedLoop  #: asserted on
     times: Any  #: (m,) [s]
     lines: tuple[Line, ...]  #: limits and values found, failures first
-    status: Status
+    status: Status  #: the worst of the lines
     passed: bool  #: result of the assertion: WATCH passes where it is allowed
     replay: str  #: code that rebuilds the loop and repeats the check
-    verdict: Verdict | None = None
-    validation: Validation | None = None
+    verdict: Verdict | None = None  #: of margins and requirements
+    validation: Validation | None = None  #: of ``assert_validated``
 
 
 Observer = Callable[[Asserted], None]
@@ -119,7 +119,10 @@ def assert_requirements(
     allow_drift: bool = False,
     allow_residual: bool = False,
 ) -> None:
-    """Asserts that the verdict of ``requirements`` is PASS at all times (m,) [s]; arguments as ``assert_margins``. Raises AssertionError."""
+    """Asserts that the verdict of ``requirements`` is PASS at all times (m,) [s]. Other arguments as ``assert_margins``.
+
+    Raises AssertionError.
+    """
     __tracebackhide__ = True
     if not isinstance(requirements, Requirements):
         raise BadArgument("requirements", requirements, "a Requirements, such as mfc.Requirements(phase_deg=45)")
@@ -131,6 +134,7 @@ def assert_validated(loop: ClosedLoop, time: float = 1.0, *, nrmse: float = 0.05
 
     Args:
         nrmse: largest misfit, a fraction. order: of the Taylor remainder, with a tolerance of 0.05 (inf for a linear loop, which has none).
+        seed: of the search for the worst disturbance, as in ``ClosedLoop.validate``.
 
     Raises AssertionError, and BadArgument for bad values.
     """

@@ -93,6 +93,44 @@ def test_a_function_of_arrays_says_shapes_or_units(name: str) -> None:
     assert UNIT.search(described(thing)) or UNIT.search(owner), name
 
 
+def inherited(name: str) -> str:
+    """The docstrings of a method in its class and the bases, and of those classes; of a class its own and those of its bases."""
+    owner, _, key = name.rpartition(".")
+    cls = CLASSES.get(name) or CLASSES[owner]
+    bases = [base for base in cls.__mro__ if base.__module__.startswith("mfc_analysis")]
+    return "\n".join(described(thing) for base in bases for thing in (base, vars(base).get(key)) if thing is not None)
+
+
+def leaned_on(name: str, text: str) -> str:
+    """The docstrings that a docstring names for more of its arguments: "arguments as ``margins``"."""
+    rooms = [name.rpartition(".")[0], "mfc.ClosedLoop", "mfc.testing", "mfc"]
+    found = [f"{room}.{other}" for other in re.findall(r"(?i)arguments as (?:``|:meth:`)([\w.]+)`", text) for room in rooms]
+    known = {**FUNCTIONS, **METHODS}
+    return "\n".join(described(known[other]) for other in found if other in known)
+
+
+def commented(cls: type) -> set[str]:
+    """The fields of a class that a ``#:`` comment on their line describes."""
+    bases = [base for base in cls.__mro__ if base.__module__.startswith("mfc_analysis")]
+    return {name for base in bases for name in re.findall(r"^    (\w+): .*#: \S", inspect.getsource(base), re.MULTILINE)}
+
+
+def takes_arguments_of_ours(name: str) -> bool:
+    bases = [base for base in CLASSES[name].__mro__ if base.__module__.startswith("mfc_analysis")] if name in CLASSES else []
+    own = any(key in vars(base) for base in bases for key in ("__init__", "__new__")) and not issubclass(CLASSES[name], enum.Enum)
+    return own or name in FUNCTIONS or (name in METHODS and not isinstance(METHODS[name], property))
+
+
+@pytest.mark.parametrize("name", [name for name in (*FUNCTIONS, *CLASSES, *METHODS) if takes_arguments_of_ours(name)])
+def test_every_parameter_is_described_by_its_name(name: str) -> None:
+    thing = {**FUNCTIONS, **CLASSES, **METHODS}[name]
+    text = described(thing) if name in FUNCTIONS else f"{described(thing)}\n{inherited(name)}"
+    text += leaned_on(name, text)
+    known = {"self", "cls", *(commented(thing) if name in CLASSES else ())}
+    parameters = inspect.signature(getattr(thing, "__func__", thing)).parameters
+    assert [other for other in parameters if other not in known and not re.search(rf"\b{other}\b", text)] == []
+
+
 @pytest.mark.parametrize("name", [name for name in PUBLIC if not inspect.ismodule(PUBLIC[name])])
 def test_a_public_name_is_in_the_guide_or_the_api_page(name: str) -> None:
     thing, short = PUBLIC[name], name.rsplit(".", 1)[1]

@@ -11,27 +11,12 @@ from typing import Any
 import pytest
 
 import mfc_analysis as mfc
+from tests.test_api_patrol import PUBLIC as EVERY
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGES = sorted(path for path in (DOCS / "reference").glob("*.md") if path.stem != "index")
 OTHER = {"errors", "behind"}  #: pages of several names
-
-
-def public_names() -> dict[str, Any]:
-    """Every name of the package and of its public rooms, without modules. A room without ``__all__`` offers what it defines."""
-    names: dict[str, Any] = {}
-    for name in dir(mfc):
-        thing = getattr(mfc, name)
-        if not inspect.ismodule(thing):
-            names[name] = thing
-            continue
-        made = [key for key in dir(thing) if not key.startswith("_") and getattr(getattr(thing, key), "__module__", "") == thing.__name__]
-        inside = {key: getattr(thing, key) for key in getattr(thing, "__all__", made)}
-        names |= {f"{name}.{key}": value for key, value in inside.items() if not inspect.ismodule(value)}
-    return {name: thing for name, thing in names.items() if not name.startswith("_")}
-
-
-PUBLIC = public_names()
+PUBLIC = {name.removeprefix("mfc."): thing for name, thing in EVERY.items() if not inspect.ismodule(thing)}
 
 
 def named(name: str) -> Any:
@@ -46,7 +31,7 @@ def named(name: str) -> Any:
 
 def documented(page: Path) -> list[tuple[str, str]]:
     """(kind, name within the package) of what a page documents."""
-    return re.findall(r"^\.\. auto(\w+):: mfc_analysis\.(\S+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return re.findall(r"^\.\. auto(\w+):: mfc_analysis\.([\w.]+)(?:\(.*\))?$", page.read_text(encoding="utf-8"), re.MULTILINE)
 
 
 def test_every_public_name_has_a_reference_page() -> None:

@@ -31,7 +31,7 @@ class Comparison:
     """A measured loop L and the model's at the same k frequencies, and the margins of both; L is in negative feedback."""
 
     at: str  #: analysis point
-    channel: str
+    channel: str  #: of it
     time: float  #: [s] of the linearisation
     frequencies: Array  #: (k,) [rad/s], increasing
     measured: Complex  #: (k,) L(jw)

@@ -182,7 +182,7 @@ def estimate(
 
 
 def sample_time(t: ArrayLike) -> float:
-    """The sample time [s] of times (N,) [s]. Raises BadArgument, which names the first step that is not as long as the others."""
+    """The sample time [s] of times ``t`` (N,) [s]. Raises BadArgument, which names the first step that is not as long as the others."""
     takes = "times [s] with steps of one length: interpolate the record, or cut it at the gap"
     times = checks.array("t", t, (None,))
     if times.size < 2 * LOWEST_LINE:

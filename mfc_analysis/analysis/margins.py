@@ -43,9 +43,9 @@ class Worst(Shown):
 
     gain_increase: tuple[float, float, str]  #: factor
     gain_reduction: tuple[float, float, str]  #: factor, the largest gain reduction
-    phase_deg: tuple[float, float, str]
+    phase_deg: tuple[float, float, str]  #: [deg]
     delay: tuple[float, float, str]  #: [s]
-    sensitivity_peak: tuple[float, float, str]
+    sensitivity_peak: tuple[float, float, str]  #: the largest
     unstable: tuple[float, ...]  #: [s] times at which the closed loop is not ``stable``: no metrics there
 
     def __str__(self) -> str:
@@ -102,7 +102,7 @@ class Margins:
             return np.asarray(-20 * np.log10(self.gain_reduction))
 
     def channel(self, number: int) -> Margins:
-        """The margins of one channel only: (m, 1) metrics."""
+        """The margins of one channel only, by its ``number``: (m, 1) metrics."""
         metrics = {f.name: getattr(self, f.name)[:, number, None] for f in fields(MarginMetrics)}
         return replace(self, channels=(self.channels[number],), **metrics)
 

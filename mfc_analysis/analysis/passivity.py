@@ -92,7 +92,7 @@ class Passivity:
         return int(np.argmax([np.inf if one is Passive.UNSTABLE else b for one, b in zip(self.outcome, self.damping, strict=True)]))
 
     def finding(self, index: int) -> str:
-        """The verdict at one time, in a sentence with its numbers."""
+        """The verdict at one time, by its ``index``, in a sentence with its numbers."""
         said = str(self.outcome[index])
         if self.outcome[index] is Passive.NOT_PASSIVE:
             said += f"; least Y + Y^H {self.smallest[index]:.3g} at {self.frequency[index]:.4g} rad/s along {self._along(index)}"
@@ -129,7 +129,10 @@ class Passivity:
         return table(f"Passivity at the {self.at}, t = {self.times[i]:g} s", ("quantity", "value"), rows)
 
     def plot(self, index: int | None = None, *, ax: Axes | None = None) -> Axes:
-        """The damping that the port shows over frequency at one time (None: the worst): below zero it gives energy. ``ax``: to draw in."""
+        """The damping that the port shows over frequency at one time, by its ``index`` (None: the worst): below 0 it gives energy.
+
+        ``ax``: to draw in; None: a new figure of pyplot.
+        """
         from mfc_analysis import plots
 
         m = len(self.times)

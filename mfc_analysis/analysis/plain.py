@@ -54,7 +54,10 @@ def disk_margin(L: Any, delay: ArrayLike = 0.0, frequencies: ArrayLike | None = 
 
 
 def delay_roots(L: Any, delay: ArrayLike = 0.0, count: int = 6) -> Complex:
-    """(count,) rightmost characteristic roots of the closed loop [1/s], dead time exact, rightmost first; of a discrete L all, in z."""
+    """(count,) rightmost characteristic roots of the closed loop [1/s], dead time exact, rightmost first; of a discrete L all, in z.
+
+    Other arguments as ``margins``, whose errors it raises.
+    """
     system = in_feedback(L, delay, np.inf)
     found = poles(system) if system.dt else roots_of(system, checks.whole("count", count, 1, 1000))
     return np.asarray(found[0], np.complex128)

@@ -58,7 +58,7 @@ class Step(Shown):
     input: str
     output: str
     time: float  #: [s] of the operating point
-    outcome: Outcome
+    outcome: Outcome  #: does it settle?
     steady_state: float  #: final value; inf with its sign where it ramps, NaN where it grows
     rise: float  #: [s] from the first 10 % to the first 90 % of the final value; NaN if that is zero
     settling: float  #: [s] last time outside ``settling_band``; inf where it ramps, NaN where it grows

@@ -1,11 +1,9 @@
 """Design searches for the limits of stiffness, dead time, sample rate, payload and bandwidth.
 
-Without ``requirements`` a limit is the edge of stability: that of the roots that are not slow (over ``horizon`` [s]), with exact dead time
-and sampling, at all ``times`` (a Hold: at 0; else 21 times over the duration or period of the reference), by a scan over the whole range and
-bisection. With ``requirements`` (``at``: their analysis point; their own ``horizon`` counts) it is the edge at which they are just met, from
-the loop as given: see ``edges``. Each result is a float, to a relative 1e-5, with what binds, its time, joint and pose, and the loop at the
-limit in ``.loop``. ``n_jobs``: processes that judge the values a search may ask for next (-1: one on each core; None: set by
-``joblib.parallel_config``, else one); the result is the same.
+Without ``requirements`` a limit is the edge of stability: that of the roots that are not slow (over ``horizon``), with exact dead time and
+sampling, at all ``times``, by a scan over the whole range and bisection. With ``requirements`` (their own ``horizon`` counts) it is the edge at
+which they are just met, from the loop as given: see ``edges``. Each result is a float, to a relative 1e-5, with what binds, its time, joint and
+pose, and the loop at the limit in ``.loop``.
 """
 
 from __future__ import annotations
@@ -52,7 +50,7 @@ def max_stiffness(
     where softer walls, or stiffer ones beyond a loop that holds on some in between only, differ; and where the loop is passive at the tool
     (``Linearization.passivity``): then no stiffness is too large, and none is searched.
 
-    Raises BadArgument: a loop without an environment, ``upper`` not a positive number up to 1e15.
+    Other arguments as ``max_delay``. Raises BadArgument: a loop without an environment, ``upper`` not a positive number up to 1e15.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     upper = checks.number("upper", upper, low=0.0, high=STIFFEST, strict=True)
@@ -94,7 +92,14 @@ def max_delay(
     """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the given one) with which the loop is stable.
 
     inf if stable up to ``upper`` [s], 1e-9 to 1e9; 0 if it is not stable without dead time. The smallest delay margin of the loop without
-    dead time is one of the values of the scan, so that the limit of a single joint is that of ``margins``. Raises BadArgument.
+    dead time is one of the values of the scan, so that the limit of a single joint is that of ``margins``.
+
+    Args:
+        requirements, at: the limit is where these are just met, at this analysis point; None: the edge of stability.
+        times: (m,) [s] at which the loop is judged; None: 0 of a Hold, else 21 over the reference. horizon: [s] of the stability verdict.
+        progress: a bar on the terminal. n_jobs: processes that judge the values ahead, as in ``sweep``; -1: one on each core. The result is the same.
+
+    Raises BadArgument.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     upper = checks.number("upper", upper, low=SHORTEST, high=LONGEST)
@@ -130,7 +135,9 @@ def max_payload(
 
     The payload is a point mass at ``com`` (3,) [m] in tool axes, added to the payload of the plant; the controller's model does not
     change. inf if stable up to ``upper`` [kg], at most 1e9; 0 if it is not stable without. Where requirements are missed as given, the
-    payload of the plant is reduced, and the limit is negative. Raises BadArgument.
+    payload of the plant is reduced, and the limit is negative.
+
+    Other arguments as ``max_delay``. Raises BadArgument.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     upper = checks.number("upper", upper, low=0.0, high=HEAVIEST, strict=True)
@@ -159,7 +166,8 @@ def min_sample_rate(
 
     The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate of the search, whose
     ends ``binds`` gives. Rates are 1e-9 to 1e9 1/s. ``upper`` None: 1e5 1/s, and 1e9 1/s where no rate up to there is stable.
-    Raises BadArgument.
+
+    Other arguments as ``max_delay``. Raises BadArgument.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     ends = ("lower", lower), ("upper", USUAL_RATE if upper is None else upper)
@@ -208,8 +216,8 @@ def max_bandwidth(
         times, at: as for ``Requirements.check``. lower, upper: [rad/s] ends of the search.
         nominal: [rad/s] where the search starts, upwards if the requirements are met there; None: ``lower``.
 
-    WATCH counts as met. Bandwidths from the start on that miss the requirements (too slow, for example) are skipped and noted. 0 if met
-    nowhere, inf if met up to ``upper``. Raises BadArgument, and any error of ``make_loop``.
+    Other arguments as ``max_delay``. WATCH counts as met. Bandwidths from the start on that miss the requirements (too slow, for example) are
+    skipped and noted. 0 if met nowhere, inf if met up to ``upper``. Raises BadArgument, and any error of ``make_loop``.
     """
     if not callable(make_loop):
         raise BadArgument("make_loop", make_loop, "a function of the bandwidth [rad/s] that returns a ClosedLoop or several")

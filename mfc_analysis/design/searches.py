@@ -57,13 +57,13 @@ class Limit(Shown, float):
     """
 
     name: str  #: quantity searched
-    unit: str
-    outcome: Outcome
+    unit: str  #: of the limit
+    outcome: Outcome  #: how the search ended
     binds: str  #: condition lost beyond the limit, a sentence
-    loop: ClosedLoop
+    loop: ClosedLoop  #: at the limit
     beyond: ClosedLoop | None  #: the loop at the first value at which the condition fails; None where there is none
     evaluations: int  #: number of loops checked
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  #: remarks, a sentence each
     binding: Line | None  #: the requirement (or "stable") missed just beyond the limit, with its joint and time; None where none is
 
     def __new__(

@@ -44,7 +44,7 @@ class WorstCase(Shown):
     stable: bool
     rightmost: float  #: [1/s] real part of the rightmost root in this case
     unstable: str  #: that root in words, with joint or tool axis and time; "" where the loop is stable
-    evaluations: int
+    evaluations: int  #: loops analysed
     failed: tuple[tuple[Case, str], ...] = field(default=())  #: cases that could not be built or analysed, with the reason
     replay: str = ""  #: code that rebuilds the loop
     step: SettlingStep = "reference"  #: of a settling time or an overshoot

@@ -140,7 +140,7 @@ class Hardware:
         return all(getattr(self, f.name) is None for f in fields(self) if f.name not in CHOICES)
 
     def every(self, sample_time: float | None) -> Hardware:
-        """The same hardware with this sample time [s]; None: continuous, without the rules of sampled code."""
+        """The same hardware with this ``sample_time`` [s]; None: continuous, without the rules of sampled code."""
         if not sample_time:
             return replace(self, sample_time=None, integral_rule="forward", derivative_rule=None)
         return replace(self, sample_time=sample_time)

@@ -189,7 +189,7 @@ def selection(A: ArrayLike | ConstraintSet) -> Array:
 
 
 def checked_rows(A: ArrayLike | ConstraintSet, argument: str = "constraints") -> Array:
-    """(k, 6) linearly independent rows, 0 <= k <= 6, from rows or a ``ConstraintSet``; ``BadArgument`` otherwise."""
+    """(k, 6) linearly independent rows, 0 <= k <= 6, from rows or a ``ConstraintSet`` A; otherwise ``BadArgument``, which names ``argument``."""
     if isinstance(A, ConstraintSet):
         return A.rows
     rows = checks.array(argument, A, (None, 6), "(k, 6) linearly independent rows A with A V_b = 0, or a ConstraintSet")

@@ -14,7 +14,9 @@ from mfc_analysis.maths.dual import Dual, Vector, matvec
 
 
 class Gain:
-    """A gain with a name for messages. ``Gain("ki", None) @ x`` is 0, and ``bool(Gain("ki", None))`` is False.
+    """A gain ``given`` as a number, a vector or a matrix, with a name for messages.
+
+    ``Gain("ki", None) @ x`` is 0, and ``bool(Gain("ki", None))`` is False.
 
     In the body of a law it declares a field: ``kp: Gain`` is required, ``ki: Gain = Gain()`` is optional. The field takes a number, a vector,
     a matrix, another gain or None, and holds a gain.

@@ -46,10 +46,9 @@ class Slot(NamedTuple):
     """A named group of controller states."""
 
     name: str  #: "z", "z_f", "outer"
-    channels: tuple[str, ...]
+    channels: tuple[str, ...]  #: k names, one for each state
     integral: bool = True  #: True: an integral of an error, dropped where it acts on nothing
-    #: (k, r) directions of the k states that an operating point trims, so that the command fits the motion; None: all of an integral
-    trim: Array | None = None
+    trim: Array | None = None  #: (k, r) directions that an operating point trims, so that the command fits the motion; None: all of an integral
     stepped: bool = False  #: True: a state of sampled code, x + T x' at the next sample; False: of a differential equation, advanced exactly
 
     @property
@@ -64,9 +63,9 @@ class Slot(NamedTuple):
 class JointReference:
     """Desired joint motion and tool force at the evaluation times."""
 
-    q: Vector  #: (..., n)
-    v: Vector
-    a: Vector
+    q: Vector  #: (..., n) [rad, m]
+    v: Vector  #: (..., n) [rad/s, m/s]
+    a: Vector  #: (..., n) [rad/s^2, m/s^2]
     F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) desired wrench on the environment, tool frame; 0 without a force reference
 
 
@@ -74,7 +73,7 @@ class JointReference:
 class ToolReference:
     """Desired tool motion and force at the evaluation times."""
 
-    X: Pose
+    X: Pose  #: (..., 4, 4) in the base
     V: Vector  #: (..., 6) body twist of the reference, in its own frame
     dV: Vector  #: (..., 6)
     F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) desired wrench on the environment, tool frame; 0 without a force reference
@@ -85,9 +84,9 @@ class Measured:
     """Inputs of a law: measured signals and its own states."""
 
     q: Vector  #: (..., n)
-    v: Vector  #: (..., n)
+    v: Vector  #: (..., n) [rad/s, m/s]
     F: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) measured F_tip, tool frame; 0 without a force sensor
-    states: Mapping[str, Vector] = field(default_factory=dict)
+    states: Mapping[str, Vector] = field(default_factory=dict)  #: slot -> its state
 
     def __getitem__(self, slot: str) -> Vector | None:
         return self.states.get(slot)
@@ -102,7 +101,11 @@ class Action(NamedTuple):
 
 
 class Law(ABC):
-    """Base class of all laws. Derive from ``JointLaw`` or ``ToolLaw`` and decorate with ``define``."""
+    """Base class of all laws. Derive from ``JointLaw`` or ``ToolLaw`` and decorate with ``define``.
+
+    In its methods ``model`` is the controller's model of the robot, ``now`` what is measured, ``ref`` the reference at the same times, ``tap``
+    names a signal at which the loop can be opened, and ``joints`` are the names of the joints.
+    """
 
     equation: ClassVar[str]  #: number in the chapter, or a few words for a law that it does not have
     plant: ClassVar[Literal["velocity", "torque"]] = "torque"
@@ -187,7 +190,7 @@ class Law(ABC):
         return tuple(f.name for f in fields(cls) if f.init)  # type: ignore[arg-type]  # subclasses are dataclasses
 
     def changed(self, **values: Any) -> Self:
-        """The same law with some parameters changed. Raises TypeError for an unknown parameter, BadArgument for a bad value."""
+        """The same law with these ``values`` of some parameters. Raises TypeError for an unknown parameter, BadArgument for a bad value."""
         return replace(self, **values)  # type: ignore[type-var]  # subclasses are dataclasses
 
     @classmethod

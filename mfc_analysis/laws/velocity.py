@@ -59,7 +59,7 @@ class VelocityP(_JointVelocity):
 class VelocityPI(_JointVelocity):
     r"""Proportional-integral velocity feedback: equation 9.3, :math:`u = K_p e + K_i \int e`.
 
-    The page prints the integral without Ki (as if it were the identity).
+    ``form="printed"``: the page prints the integral without Ki (as if it were the identity).
 
     Args:
         kp: [1/s], ki: [1/s^2]; scalar, (n,) or (n, n).

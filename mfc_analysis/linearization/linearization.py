@@ -49,6 +49,10 @@ class Linearization:
     A, B, C, D, ``poles``, ``system`` and ``loop`` leave out the dead time (``delay``, ``force_delay`` [s]); ``stable``, margins,
     frequency responses and ``delay_roots`` include it exactly. With a sample time all models are discrete (``dt`` > 0, poles in z)
     and include the dead time.
+
+    Made by ``ClosedLoop.linearize`` from the ``equations`` of the loop at an operating ``point``, in ``coordinates`` "state" or "error".
+    In its methods ``index`` is one of the m times (0: the first), ``at`` an analysis point (None: the plant input), ``channel`` one of its
+    channels, by number or name, and ``frequencies`` are w (k,) [rad/s]. ``ax``: to draw in; None: a new figure of pyplot.
     """
 
     equations: Equations
@@ -244,7 +248,7 @@ class Linearization:
         return closed_model(self._without_wire_delay(one, pade))
 
     def systems(self, pade: int | None = None) -> Iterator[StateSpace]:
-        """``system`` at each of the m times, one after the other."""
+        """``system`` at each of the m times, one after the other; ``pade`` likewise."""
         from mfc_analysis.linearization.exported import closed_model
 
         every = self._without_wire_delay(self.opened, pade)
@@ -379,7 +383,8 @@ class Linearization:
     ) -> Step:
         """Unit step response of the closed loop at one time, with its metrics.
 
-        ``duration`` [s] of its samples, or their ``times`` (k,) [s]; omitted: about twice the settling time. Raises UnknownName, BadArgument.
+        ``input``, ``output``: one of ``input_names`` and ``output_names``, or its number. ``duration`` [s] of its samples, or their ``times``
+        (k,) [s]; omitted: about twice the settling time. Raises UnknownName, BadArgument.
         """
         from mfc_analysis.analysis.steps import step
 

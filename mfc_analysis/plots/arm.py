@@ -26,8 +26,8 @@ def arm(
     """Stick figures through the joint origins at up to seven poses, with the worst one in colour and the tool path dotted.
 
     Args:
-        origins: (m, k, 3) [m]: world positions of base, joints and tool at m times. worst: index of the worst time.
-        view: "xy", "xz", "yz", or "widest": the plane with the largest extent.
+        origins: (m, k, 3) [m]: world positions of base, joints and tool at m times. worst, worst_time: index of the worst time, and that time [s].
+        view: "xy", "xz", "yz", or "widest": the plane with the largest extent. title: of the figure. ax: to draw in; None: a new sheet.
 
     Raises:
         BadArgument: for another shape or view.

@@ -36,7 +36,7 @@ _START = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from 
 
 
 def drawn(recipes: Sequence[Any], *, progress: Callable[[int], None] | None = None) -> list[str]:
-    """SVG of each recipe (a callable without arguments, or finished Axes), in order; the same bytes from any process.
+    """SVG of each of ``recipes`` (callables without arguments, or finished Axes), in order; the same bytes from any process.
 
     ``progress`` is called with the number of figures finished since the last call.
     """

@@ -28,7 +28,8 @@ def block(
 
     Args:
         chain: (text of a box, name of the analysis point on the wire after it or ""), at most six; a text may have two lines.
-        back: the analysis point on the feedback path. at: the one in use. inputs: (index of a box, text): another input of that box, from above.
+        reference, output: words at both ends. back: the analysis point on the feedback path. at: the one in use.
+        inputs: (index of a box, text): another input of that box, from above. ax: to draw in; None: a new sheet.
 
     Raises:
         BadArgument: no box, or more than six.

@@ -22,6 +22,7 @@ def costs(names: Sequence[str], alone: ArrayLike, last: ArrayLike, together: flo
     Args:
         names: (f,). alone: (f,) cost of each on top of the ideal loop; last: (f,) on top of all the others. together: of all of them.
             Positive: worse. What is not finite is written and not drawn.
+        xlabel: of the costs, with their unit. title: of the figure. ax: to draw in; None: a new sheet.
     """
     ax = ax if ax is not None else sheet.axes_for("costs")
     first, then = np.asarray(alone, float), np.asarray(last, float)

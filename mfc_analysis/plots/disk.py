@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 
 def multipliers(values: ArrayLike, *, title: str = "Floquet multipliers", ax: Axes | None = None) -> Axes:
-    """Floquet multipliers (nx,) complex and the unit circle; the largest is labelled."""
+    """Floquet multipliers and the unit circle; the largest is labelled.
+
+    Args:
+        values: (nx,) complex. title: of the figure. ax: to draw in; None: a new sheet.
+    """
     found = np.asarray(values, complex).ravel()
     ax = ax if ax is not None else sheet.axes_for("disc")
     reach = 1.2 * max(1.0, float(np.abs(found).max(initial=0.0)))
@@ -54,6 +58,7 @@ def disk(
 
     Args:
         gain: its limits on the real axis (factors; the upper may be inf). phase_deg: its pure phase [deg]. alpha: the disk margin.
+        index: the joint, for its colour. title: of the figure. ax: to draw in; None: a new sheet.
     """
     low, high = gain
     ax = ax if ax is not None else sheet.axes_for("disc")

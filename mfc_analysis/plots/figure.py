@@ -84,7 +84,7 @@ def panels_for(kind: str) -> tuple[Axes, ...]:
 
 
 def shown(kind: str, ax: Axes | None = None) -> tuple[Axes, ...]:
-    """The given axes alone, or those of a new sheet of this kind that is registered with pyplot, top first."""
+    """The given axes ``ax`` alone, or those of a new sheet of this kind that is registered with pyplot, top first."""
     if ax is not None:
         return (ax,)
     from matplotlib import pyplot

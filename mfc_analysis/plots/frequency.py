@@ -52,6 +52,8 @@ def bode(
         increase_frequency: [rad/s]; omitted: where the curve crosses the negative real axis.
         reduction_frequency: [rad/s]; omitted: where the curve crosses the negative real axis.
         index: the joint, for its colour.
+        title: of the figure.
+        axes: to draw in; None: a new sheet.
     """
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)
     upper, lower = axes if axes is not None else sheet.panels_for("bode")
@@ -75,7 +77,7 @@ def bode(
 
 
 def two_axes(ax: Axes | tuple[Axes, Axes] | None) -> tuple[Axes, Axes]:
-    """Axes for ``bode``: those given, the upper and lower half of one, or those of a new sheet registered with pyplot."""
+    """Axes for ``bode``: those given (``ax``), the upper and lower half of one, or with None those of a new sheet registered with pyplot."""
     if isinstance(ax, tuple):
         return ax
     if ax is None:
@@ -159,7 +161,7 @@ def nyquist(
 ) -> Axes:
     """L in the complex plane for positive (solid) and negative (dashed) frequencies, the unit circle, and the disk of radius 1/Ms about -1.
 
-    L stays outside that disk. Keywords as for ``bode``.
+    L stays outside that disk. sensitivity_peak: Ms. ax: to draw in; None: a new sheet. Other arguments as ``bode``.
     """
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)
     ax = ax if ax is not None else sheet.axes_for("nyquist")
@@ -195,7 +197,7 @@ def nyquist(
 
 
 def of_channel(found: Any, row: int, channel: int) -> dict[str, float]:
-    """Keywords of both ``bode`` and ``nyquist`` from a ``Margins`` at one time and channel."""
+    """Keywords of both ``bode`` and ``nyquist`` from a ``Margins`` (``found``), at one time (``row``) and ``channel``, both from 0."""
     return {
         "crossover": float(found.crossover[row, channel]),
         "phase_margin": float(found.phase_deg[row, channel]),
@@ -205,5 +207,5 @@ def of_channel(found: Any, row: int, channel: int) -> dict[str, float]:
 
 
 def frequencies_of(found: Any, row: int, channel: int) -> dict[str, float]:
-    """The frequencies of the gain margins, for ``bode``, from a ``Margins``."""
+    """The frequencies [rad/s] of the gain margins, for ``bode``, from a ``Margins``. Arguments as ``of_channel``."""
     return {name: float(getattr(found, name)[row, channel]) for name in ("increase_frequency", "reduction_frequency")}

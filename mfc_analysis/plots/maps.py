@@ -35,6 +35,7 @@ def stability_map(
         x: (nx,), y: (ny,). growth: (ny, nx), negative where stable (e.g. the largest real part of the poles); its zero is the boundary,
             NaN counts as unstable.
         log: logarithmic axes: "x", "y", "xy" or "". points: (x, y, stable) of simulated runs, marked on top.
+        xlabel, ylabel: with units. title: of the figure. ax: to draw in; None: a new sheet.
 
     Raises:
         BadArgument: ``growth`` of another shape.
@@ -65,7 +66,7 @@ def stability_map(
 
 
 def log_axes(x: ArrayLike, y: ArrayLike) -> str:
-    """Which of two axes of positive values, (nx,) and (ny,), are to be logarithmic: those over more than a decade."""
+    """Which of two axes of positive values, x (nx,) and y (ny,), are to be logarithmic: those over more than a decade."""
     return "".join(name for name, a in (("x", np.asarray(x, float)), ("y", np.asarray(y, float))) if a.min() > 0 and a.max() > 10 * a.min())
 
 

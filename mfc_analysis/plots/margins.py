@@ -26,7 +26,7 @@ _TIGHTEST = {"sensitivity_peak": "high"}
 
 
 def metric_values(found: Any, metric: str) -> Array:
-    """One metric of a ``Margins`` in the unit it is drawn in: (m, n). Raises ``UnknownName``."""
+    """One ``metric`` of a ``Margins`` (``found``) in the unit it is drawn in: (m, n). Raises ``UnknownName``."""
     if metric not in _NAMES:
         raise UnknownName("metric", metric, _NAMES)
     with np.errstate(divide="ignore"):
@@ -44,6 +44,7 @@ def margins(found: Any, *, metric: str = "phase_deg", asked: float | None = None
         found: ``times`` (m,) [s], ``channels`` (n,), ``stable`` (m,), and the metric (m, n); NaN where unstable, inf where there
             is no limit (stated, not drawn).
         metric: "phase_deg", "gain_increase_db", "gain_reduction_db", "delay" (drawn in ms, ``asked`` in s) or "sensitivity_peak".
+        asked: a limit drawn as a line. title: of the figure. ax: to draw in; None: a new sheet.
     """
     ax = ax if ax is not None else sheet.axes_for("time history")
     _history(ax, found, metric, asked)
@@ -87,9 +88,11 @@ def margin_history(
     metrics: tuple[str, ...] | None = None,
     title: str = "",
 ) -> tuple[Axes, ...]:
-    """Several metrics of a ``Margins`` in stacked axes, with the limits of ``asked`` (by the names of ``Requirements``).
+    """Several metrics of a ``Margins`` in stacked axes, with their limits.
 
-    ``metrics``: one to four of those of ``margins``; default: phase, the tighter side of the gain, delay, sensitivity peak.
+    Args:
+        found: the ``Margins``. asked: limits by the names of ``Requirements``. title: of the figure.
+        metrics: one to four of those of ``margins``; default: phase, the tighter side of the gain, delay, sensitivity peak.
     """
     metrics = metrics if metrics is not None else ("phase_deg", _tighter(found), "delay", "sensitivity_peak")
     kinds = {1: "time history", 2: "two histories", 3: "three histories", 4: "four histories"}

@@ -16,7 +16,10 @@ Three = tuple["Axes", ...]  #: three of them
 
 
 def response(found: Any, *, axes: Three | None = None) -> Three:
-    """Gain [dB], phase [deg] and coherence of a ``FrequencyResponse`` over the frequency [rad/s]."""
+    """Gain [dB], phase [deg] and coherence of a ``FrequencyResponse`` (``found``) over the frequency [rad/s].
+
+    ``axes``: three to draw in; None: a new sheet.
+    """
     w = np.asarray(found.frequencies, float)
     panels = axes if axes is not None else sheet.panels_for("three histories")
     for ax, values in zip(panels, (found.gain_db, found.phase_deg, found.coherence), strict=True):
@@ -31,6 +34,7 @@ def comparison(found: Any, *, axes: Three | None = None) -> Three:
     """Gain [dB] and phase [deg] of a measured loop (dots; grey where it is not trusted) and of the model (line), and the misfit of the phase.
 
     ``found``: a ``Comparison``. The band in which the gain is within 20 dB of 1, which decides the margins, is shaded.
+    ``axes``: three to draw in; None: a new sheet.
     """
     w, good = np.asarray(found.frequencies, float), np.asarray(found.trusted, bool)
     model = np.degrees(np.unwrap(np.angle(found.model)))

@@ -29,7 +29,7 @@ def poles(
     Args:
         values: (nx,) complex [1/s], or in z if ``discrete``: then on linear axes with the unit circle.
         damping: a required damping ratio, drawn as a dashed ray; default: rays of 0.3 and 0.7. path: (m, nx) the poles at other times, in grey.
-        note: what the grey points are.
+        note: what the grey points are. index: the joint, for its colour. title: of the figure. ax: to draw in; None: a new sheet.
     """
     s = np.asarray(values, complex).ravel()
     ax = ax if ax is not None else sheet.axes_for("pole map")

@@ -21,6 +21,7 @@ def admittance(
 
     Args:
         frequencies: (k,) [rad/s] > 0. series: name and values (k,) complex of each channel.
+        title: of the figure. axes: to draw in; None: a new sheet.
     """
     order = np.argsort(np.asarray(frequencies, float))
     w = np.asarray(frequencies, float)[order]
@@ -57,6 +58,7 @@ def passivity(
 
     Args:
         frequencies: (k,) [rad/s] > 0; damping: (k,) [Ns/m, Nms/rad], drawn over asinh. crossings: [rad/s] of its zeros. said: the finding.
+        title: of the figure. ax: to draw in; None: a new sheet.
     """
     w, b = np.asarray(frequencies, float), np.asarray(damping, float)
     ax = ax if ax is not None else sheet.axes_for("map")

@@ -24,10 +24,10 @@ class Panel:
     """One panel: quantity with unit, values (m,) or (m, n), and optionally a limit or a dashed comparison of the same shape."""
 
     quantity: str  #: "error [rad]"
-    values: ArrayLike
+    values: ArrayLike  #: (m,) or (m, n)
     limit: float | None = None  #: drawn with both signs unless all values have one sign
     beside: ArrayLike | None = None  #: another run of the same quantity, dashed in the same colours
-    log: bool = False
+    log: bool = False  #: a logarithmic axis
 
 
 def traces(
@@ -45,7 +45,7 @@ def traces(
 
     Args:
         t: (m,) [s]. names: one for each column. events: (time [s], word), drawn as vertical lines. said: names of the solid and the dashed lines.
-        first: the joint of the first column, for its colour.
+        first: the joint of the first column, for its colour. title: of the figure. axes: to draw in; None: a new sheet.
 
     Raises:
         BadArgument: no panel, or more than four.
@@ -123,6 +123,7 @@ def curves(
 
     Args:
         x: (k,); series: name and values (k,) of each curve. log: "x", "y" or "xy". limit: a value drawn as a line.
+        xlabel, ylabel: with units. title: of the figure. ax: to draw in; None: a new sheet.
     """
     ax = ax if ax is not None else sheet.axes_for("map")
     at = np.asarray(x, float)

@@ -33,7 +33,8 @@ def step(
     Args:
         t: (m,) [s], y: (m,) of the linear model. nonlinear: (t, y) of the simulated run. torque: (t, tau) [Nm], of the
             nonlinear run, if given; ``torque_limit`` [Nm] is drawn with both signs.
-        target: the final value; band: half width of the settling band, in the unit of y.
+        target: the final value; band: half width of the settling band, in the unit of y. quantity, drive: names and units of y and of the torque.
+        index: the joint, for its colour. title: of the figure. axes: to draw in; None: a new sheet.
     """
     upper, *below = axes if axes is not None else sheet.panels_for("response" if torque is None else "step")
     time = np.asarray(t, float)
@@ -67,7 +68,12 @@ def step(
 def responses(
     t: ArrayLike, y: ArrayLike, *, worst: int = 0, worst_time: float = 0.0, quantity: str = "q [rad]", title: str = "", ax: Axes | None = None
 ) -> Axes:
-    """The responses y (m, k) at m times of a path over t (k,) [s], in grey; that of row ``worst`` in colour, with its time [s]."""
+    """The responses at m times of a path in grey, one of them in colour.
+
+    Args:
+        t: (k,) [s]. y: (m, k). worst, worst_time: the row in colour, and its time [s]. quantity: name and unit of y.
+        title: of the figure. ax: to draw in; None: a new sheet.
+    """
     ax = ax if ax is not None else sheet.axes_for("response")
     time, values = np.asarray(t, float), np.asarray(y, float)
     for row in values:

@@ -34,16 +34,16 @@ class Line:
     name: str  #: field of ``Requirements``, or "stable", "residual"; any name in a report
     asked: float  #: the limit, in ``unit``
     found: float  #: in ``unit``; NaN where it is not defined (the loop is unstable, ...)
-    unit: str
+    unit: str  #: of all numbers
     distance: float  #: distance to the limit, in ``unit``; negative: limit missed; NaN: not defined
-    status: Status
+    status: Status  #: met or not
     where: str = ""  #: joint or channel
     when: float | None = None  #: [s]
     sense: str = "≥"  #: "≥" at least, "≤" at most, "<" below
     infinite: str = "no limit"  #: the word for an infinite ``found``
     undefined: str = "unstable"  #: the word for a NaN
     label: str = ""  #: the name in words; omitted: the name itself
-    note: str = ""
+    note: str = ""  #: a reservation
     elsewhere: str = ""  #: a smaller margin at another analysis point, in words
 
     def __post_init__(self) -> None:

@@ -69,13 +69,13 @@ SETTINGS = ("horizon", "step")  #: fields that say how the others are meant
 class Verdict:
     """Result of a check: a line for each requirement, failures first, and the worst status."""
 
-    lines: tuple[Line, ...]
+    lines: tuple[Line, ...]  #: one for each requirement, failures first
     loop: str  #: the loop in words
     at: str  #: analysis point of the margins and loop steps
     times: np.ndarray[Any, np.dtype[np.float64]]  #: (m,) [s]
     notes: tuple[str, ...]  #: remarks, a sentence each
-    drifts: bool
-    evidence: Evidence
+    drifts: bool  #: a slow part of the loop keeps moving within the horizon
+    evidence: Evidence  #: the numbers behind the lines
 
     @property
     def status(self) -> Status:
@@ -163,7 +163,7 @@ class Requirements:
 
     @classmethod
     def from_mapping(cls, asked: Mapping[str, Any]) -> Self:
-        """Requirements from a mapping, such as a table of a study. Raises UnknownName for an unknown key, BadArgument for a bad value."""
+        """Requirements from a mapping ``asked``, such as a table of a study. Raises UnknownName for an unknown key, BadArgument for a bad value."""
         if not isinstance(asked, Mapping):
             raise BadArgument("requirements", asked, f"a mapping of some of {', '.join(KINDS)} to numbers")
         for name in asked:

@@ -21,7 +21,7 @@ def relative_gain(robot: Robot, q: ArrayLike) -> Array:
     """Relative gain M_jj (M^-1)_jj of each joint, at least 1: the factor by which its inertia drops if the other joints are free.
 
     Args:
-        q: (..., n) poses [rad or m].
+        robot: with its armature. q: (..., n) poses [rad or m].
 
     Returns (..., n) [-]: 1 for a joint that is not coupled to the others through the mass matrix. Raises ``BadArgument`` for a q of another
     shape. An independent-joint loop (9.8) is designed on M_jj, but at high frequencies it acts on 1/(M^-1)_jj: its gain is larger by this factor.
@@ -32,7 +32,7 @@ def relative_gain(robot: Robot, q: ArrayLike) -> Array:
 
 
 def lacks_armature(robot: Robot, q: ArrayLike) -> str:
-    """A sentence with joint and number if the model lacks rotor inertia, else "".
+    """A sentence with joint and number if the model of ``robot`` lacks rotor inertia, else "".
 
     The model lacks it if some joint has no armature and a relative gain exceeds 5 at one of the poses q (..., n). A geared motor adds its rotor
     inertia times the gear ratio squared to M_jj alone, which lowers the relative gain of most real arms to between 1 and 2.

@@ -48,9 +48,10 @@ class Robot:
     """A fixed-base arm. Created by :meth:`from_urdf`, :meth:`from_mjcf`, :meth:`from_pinocchio` or the catalogue; ``with_...`` return changed copies.
 
     The friction of the plant is ``viscous * v + coulomb * tanh(v / coulomb_speed)`` on each joint; mass, gravity and bias leave it out.
+    In its methods ``q`` and ``v`` (..., n) are angles [rad or m] and velocities of the joints, in the order of ``joint_names``.
     """
 
-    name: str
+    name: str  #: in reports
     model: pin.Model  #: a private copy; joints in Pinocchio's order
     tool: str  #: name of the tool frame
     frame_id: int  #: of the tool, in ``model.frames``
@@ -76,7 +77,7 @@ class Robot:
         """A robot from a URDF: a path or the XML text. Meshes are never opened.
 
         Args:
-            tool: a link or frame name (where a link and a joint share it, the link); None: the last link, if unique.
+            source: the path, or the text. tool: a link or frame name (where a link and a joint share it, the link); None: the last link, if unique.
             locked: joints to lock: names (at 0) or ``{name: value}`` [rad or m].
             joints: the order of ``q``; None: the order of the model.
             friction: "urdf": joint damping is the viscous friction of the plant; "none": no friction. Coulomb ``friction`` is not read.
@@ -138,7 +139,7 @@ class Robot:
         friction: Friction = "urdf",
         gravity: ArrayLike | None = None,
     ) -> Robot:
-        """A robot from a copy of a Pinocchio model, as :meth:`from_urdf`; ``gravity=None`` keeps that of the model."""
+        """A robot from a copy of a Pinocchio model. Arguments as :meth:`from_urdf`; ``gravity=None`` keeps that of the model."""
         if not isinstance(model, pin.Model):
             raise BadArgument("model", type(model).__name__, "a pinocchio.Model")
         return cls._from_model(model, tool, locked, joints, friction, model.gravity.linear if gravity is None else gravity)
@@ -270,7 +271,7 @@ class Robot:
         return replace(self, viscous=new, coulomb=checks.per_joint("coulomb", coulomb, self.n, low=0.0), coulomb_speed=speed)
 
     def with_armature(self, armature: ArrayLike) -> Robot:
-        """The robot with these rotor inertias reflected to the joints (gear ratio squared times inertia): scalar or (n,) [kg m^2 or kg] >= 0.
+        """The robot with this ``armature``, the rotor inertia at each joint (gear ratio squared times inertia): scalar or (n,) [kg m^2 or kg] >= 0.
 
         They replace the present ones.
         """
@@ -297,14 +298,14 @@ class Robot:
         return build.configuration(self.model, self.to_model(self._joints("q", q)))
 
     def to_model(self, x: ArrayLike) -> Array:
-        """(..., n) a vector from the user's joint order to Pinocchio's."""
+        """(..., n) a vector x from the user's joint order to Pinocchio's."""
         x = self._joints("x", x)
         out = np.empty_like(x)
         out[..., self.order] = x
         return out
 
     def from_model(self, x: ArrayLike) -> Array:
-        """(..., n) a vector from Pinocchio's joint order to the user's."""
+        """(..., n) a vector x from Pinocchio's joint order to the user's."""
         return self._joints("x", x)[..., self.order]
 
     # --- dynamics --------------------------------------------------------------------------------------------------------

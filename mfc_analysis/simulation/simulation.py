@@ -55,11 +55,11 @@ class Simulation:
     error: Array  #: (k, n) e = q_d - q, or (k, 6) X_e for tool laws, its selected directions of a law with axes
     twist: Array  #: (k, 6) body twist of the tool [m/s, rad/s]
     force: Array  #: (k, 6) F_tip, tool frame [N, Nm]
-    events: tuple[Event, ...]
-    outcome: Outcome
+    events: tuple[Event, ...]  #: contact made and lost
+    outcome: Outcome  #: how it ended
     message: str  #: what happened and when, a sentence
-    state_names: tuple[str, ...]
-    path: DenseOutput = field(repr=False)
+    state_names: tuple[str, ...]  #: (nx,)
+    path: DenseOutput = field(repr=False)  #: the states between the samples
     evaluations: int = 0  #: of the equations: the work of the run, as ``max_evaluations`` counts it
     output_names: tuple[str, ...] = ()  #: of ``response``, as those of the linearised loop
     arrived: Callable[[float], Array] | None = field(default=None, repr=False)  #: with dead time or sampling: t -> (n,) command at the joints
@@ -75,7 +75,7 @@ class Simulation:
         return float(self.t[-1])
 
     def state(self, t: ArrayLike) -> Array:
-        """(m, nx) state at times [s] within the run, from the solver's dense output. Raises BadArgument outside."""
+        """(m, nx) state at times ``t`` (m,) [s] within the run, from the solver's dense output. Raises BadArgument outside."""
         times = checks.vector("times", t)
         if times.size == 0 or np.any(times < self.t[0] - 1e-12) or np.any(times > self.t[-1] + 1e-12):
             raise BadArgument("times", t, f"times within the run, {self.t[0]:g} to {self.t[-1]:g} s")
@@ -145,7 +145,11 @@ def simulate(
     method: str = "LSODA",
     max_evaluations: int | None = None,
 ) -> Simulation:
-    """Implements ``ClosedLoop.simulate`` from the state ``x0`` (nx,). Raises BadArgument for bad input, and any error of the law at the start."""
+    """Implements ``ClosedLoop.simulate`` for the ``equations`` of the loop, from their state ``x0`` (nx,).
+
+    ``times``, ``disturbance``, ``rtol``, ``atol``, ``method`` and ``max_evaluations`` as there. Raises BadArgument for bad input, and any error
+    of the law at the start.
+    """
     asked = asked_times(times)
     checks.choice("method", method, METHODS)
     options = {"rtol": checks.number("rtol", rtol, low=1e-14), "atol": checks.number("atol", atol, low=1e-16), "method": method}

@@ -78,7 +78,7 @@ class Validation(Shown):
 
 
 def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
-    """Implements ``ClosedLoop.validate``.
+    """Implements ``ClosedLoop.validate`` for the equations ``e`` of the loop. Other arguments as there.
 
     Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is not an integer from 0 to 2^64 - 1.
     """

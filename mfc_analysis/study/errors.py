@@ -8,7 +8,7 @@ from mfc_analysis.errors import MfcError
 
 
 class StudyError(MfcError, ValueError):
-    """An invalid study file: names the file, the key, the value given and the values allowed."""
+    """An invalid study file: names the ``file``, the ``key``, the ``problem`` and what is ``allowed``."""
 
     def __init__(self, file: str, key: str, problem: str, allowed: Sequence[str] = ()) -> None:
         self.file, self.key, self.problem, self.allowed = file, key, problem, tuple(allowed)

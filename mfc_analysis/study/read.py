@@ -50,12 +50,12 @@ class Case:
 class StudyLoop:
     """A loop of a study, and its requirements."""
 
-    name: str
+    name: str  #: in reports
     loop: ClosedLoop
     times: Array  #: (m,) [s]
     at: str | None  #: analysis point; None: the plant input
     table: LoopTable  #: the tables of the file
-    parts: Parts = field(repr=False)
+    parts: Parts = field(repr=False)  #: what the loop is built of
 
     @property
     def requirements(self) -> Requirements:
@@ -81,13 +81,13 @@ class StudyLoop:
 class Study:
     """A study file and its loops."""
 
-    title: str
+    title: str  #: of the report
     name: str  #: of the report's files
     text: str  #: a paragraph for the report, or empty
     file: Path
     sha256: str  #: of the file's bytes
     loops: tuple[StudyLoop, ...]
-    table: StudyTable
+    table: StudyTable  #: the tables of the first loop
 
     def files(self) -> tuple[Path, ...]:
         """The study file and the files named in it."""
@@ -100,7 +100,7 @@ class Study:
 
 
 def read(path: str | os.PathLike[str]) -> Study:
-    """The study in a TOML file, with its loops built.
+    """The study in a TOML file at ``path``, with its loops built.
 
     Raises StudyError (a ``ValueError``): not a file, not TOML, an unknown key (names the nearest), a value of the wrong type,
     files, joints or gains that do not fit together.

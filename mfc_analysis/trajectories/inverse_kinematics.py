@@ -131,7 +131,7 @@ def follow(
     That of the same path, arm (whatever its loads), start and times is computed once.
 
     Args:
-        q_start: (n,) [rad or m] near the solution at t = 0, or at ``times[0]`` if that is earlier; followed from there.
+        robot: any arm. q_start: (n,) [rad or m] near the solution at t = 0, or at ``times[0]`` if that is earlier; followed from there.
         times: (m,) [s], increasing.
         damping: [-] of the inverse of J, v = J^T (J J^T + damping^2)^-1 V; above 0 no error is raised near a singularity.
         selection: the directions that are followed; None: all six.
@@ -174,7 +174,7 @@ def _kinematics(robot: Robot) -> bytes:
 
 
 def solve_pose(robot: Robot, X: Any, q_start: ArrayLike) -> Array:
-    """(n,) joint position near ``q_start`` [rad or m] with the tool at the pose X (4x4 or a Pinocchio SE3). Raises ``NotConverged``."""
+    """(n,) joint position of ``robot`` near ``q_start`` [rad or m] with the tool at the pose X (4x4 or a Pinocchio SE3). Raises ``NotConverged``."""
     start = _start(robot, q_start)
     q, error, found = _newton(Tip(robot), pose_matrix("X", X), start, False)
     if not found:

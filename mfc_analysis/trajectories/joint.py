@@ -234,7 +234,7 @@ class Waypoints(JointReference):
 
 
 def from_csv(path: str | os.PathLike[str]) -> Waypoints:
-    """The ``Waypoints`` of a table: time [s] in the first column, one joint [rad or m] in each other column.
+    """The ``Waypoints`` of a table in the file ``path``: time [s] in the first column, one joint [rad or m] in each other column.
 
     A header line is optional, as are lines that are empty or start with ``#``; columns are separated by commas, semicolons, tabs or blanks.
     Times start near 0: readings of a clock, such as seconds since 1970, are refused, not shifted, as in ``Waypoints``.
@@ -276,7 +276,7 @@ def from_csv(path: str | os.PathLike[str]) -> Waypoints:
 
 
 def warn_outside_limits(robot: Robot, ref: JointReference, times: ArrayLike) -> tuple[str, ...]:
-    """Warns (``MfcWarning``) for each joint whose reference leaves its position or velocity limits at times (m,) [s].
+    """Warns (``MfcWarning``) for each joint of ``robot`` whose reference ``ref`` leaves its position or velocity limits at times (m,) [s].
 
     Also returns the messages. Raises BadArgument for bad times.
     """

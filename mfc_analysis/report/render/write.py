@@ -27,6 +27,7 @@ def render(
 
     Args:
         folder: created if necessary. Nothing is written outside it: the file name is ``document.name`` reduced to a-z, 0-9 and hyphens.
+        document: as ``report.document`` defines it. formats: some of "html", "pdf", "json".
         timestamp: the PDF's date [s since 1970]; an input, never the clock.
         progress: called with (done, of how many) after each figure and each format.
 
@@ -52,7 +53,7 @@ def render(
 
 
 def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp: int = 0, progress: Progress | None = None) -> dict[str, bytes]:
-    """The bytes of each format, in the given order."""
+    """The bytes of each format, in the given order. Arguments as ``render``."""
     from mfc_analysis.report.document.tree import tree
     from mfc_analysis.report.render.numbers import numbers, to_json
 
