@@ -48,7 +48,7 @@ NAVIGATION = {
         "notebooks/which_gains",
         "notebooks/why_it_bounces_on_steel",
     ],
-    "Reference": ["api", "By topic <reference/index>"],
+    "Reference": ["reference/index"],
     "The project": ["built", "changelog", "cite"],
 }
 

@@ -85,6 +85,13 @@ def prepare(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: 
         lines[:0] = ["..", ""]
 
 
+def shortened(
+    app: Sphinx, what: str, name: str, thing: Any, options: Any, arguments: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """A default that is made anew each time as ``...``: with ``<factory>`` the signature is not one that Sphinx can read."""
+    return arguments and arguments.replace("<factory>", "..."), returns
+
+
 @cache
 def named(name: str) -> Any:
     """The object of a dotted name, or None."""
@@ -130,6 +137,7 @@ class Links(SphinxPostTransform):
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("builder-inited", load_types)
     app.connect("autodoc-process-docstring", prepare, priority=400)
+    app.connect("autodoc-process-signature", shortened)
     app.connect("missing-reference", resolve)
     app.add_post_transform(Links)
     return {"parallel_read_safe": True}

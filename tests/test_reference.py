@@ -31,7 +31,7 @@ def named(name: str) -> Any:
 
 def documented(page: Path) -> list[tuple[str, str]]:
     """(kind, name within the package) of what a page documents."""
-    return re.findall(r"^\.\. auto(\w+):: mfc_analysis\.([\w.]+)(?:\(.*\))?$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return re.findall(r"^\.\. auto(\w+):: mfc_analysis\.(\S+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
 
 
 def test_every_public_name_has_a_reference_page() -> None:
@@ -59,14 +59,9 @@ def test_a_page_documents_what_its_title_says(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_a_page_has_an_example_with_its_output_and_links_that_lead_somewhere(page: Path) -> None:
+def test_a_page_has_an_example_with_its_output(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert re.search(r"^## Example\n\n\w.*\n(?:.+\n)*\n```python\n(?:.*\n)+?```\n\n```text\n *\S", text, re.MULTILINE)
-    shown, drawn = re.findall(r"\]\(pictures/(\S+)\)", text), re.findall(r"#.*\bpicture: (\S+)", text)
-    links = [link.split("#")[0] for link in re.findall(r"\]\((?!pictures/)(\S+)\)", text)]
-    assert shown == drawn and [link for link in links if not (page.parent / link).is_file()] == []
-    for name in set(re.findall(r"(?<![\w/.-])mfc\.((?:[A-Za-z_]\w*\.)*[A-Za-z_]\w*)", text)):
-        named(name)
 
 
 def test_the_index_lists_every_page_once() -> None:
