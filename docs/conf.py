@@ -99,12 +99,35 @@ def read(app: Any, page: str, source: list[str]) -> None:
     """What pages that stay plain Markdown need: ``<!-- include: FILE -->``, notebooks as pages, and on the first page the navigation."""
     source[0] = re.sub(r"\]\(\.\./examples/(\w+\.ipynb)\)", r"](notebooks/\1)", source[0])
     source[0] = re.sub(r"<!-- include: (\S+) -->", lambda found: (ROOT / found[1]).read_text(encoding="utf-8"), source[0])
+    if page.startswith("reference/") and page != "reference/index":  # two hundred entries in the navigation of every page would take minutes
+        source[0] = f"---\norphan: true\n---\n{source[0]}\n\n[All names by topic](index.md)\n"
     if page == "index":
         for heading, pages in NAVIGATION.items():
             there = [page for page in pages if list(DOCS.glob(re.sub(r".*<(.*)>", r"\1", page) + ".*"))]
             source[0] += f"\n\n```{{toctree}}\n:hidden:\n:caption: {heading}\n\n" + "\n".join(there) + "\n```\n"
 
 
+#: what the theme leaves out for readers of the screen and of the keyboard
+MENDED = {
+    'role="heading">': 'role="heading" aria-level="2">',
+    '<aside class="sidebar-drawer">': '<aside class="sidebar-drawer" aria-label="Pages">',
+    '<aside class="toc-drawer': '<aside aria-label="On this page" class="toc-drawer',
+    "<pre>": '<pre tabindex="0">',
+    '<div id="search-results"></div>': '<h1>Search</h1><div id="search-results"></div>',
+}
+
+
+def mend(app: Any, failure: Exception | None) -> None:
+    """Mends the pages, and makes a list of a signature of several lines, which is no list of definitions."""
+    for path in Path(app.outdir).rglob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        for was, now in MENDED.items():
+            text = text.replace(was, now)
+        text = re.sub(r'<dl>\n((?:<dd><em class="sig-param">.*</dd>\n)+)</dl>', r'<ul class="sig-parameters">\n\1</ul>', text)
+        path.write_text(re.sub(r'<dd>(<em class="sig-param">.*)</dd>', r"<li>\1</li>", text), encoding="utf-8")
+
+
 def setup(app: Any) -> None:
     app.connect("builder-inited", gather, priority=1)
     app.connect("source-read", read)
+    app.connect("build-finished", mend)

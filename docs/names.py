@@ -7,12 +7,14 @@ import importlib
 import inspect
 import pkgutil
 import re
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from docutils import nodes
+from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.util.inspect import TypeAliasForwardRef
@@ -119,6 +121,11 @@ def resolve(app: Sphinx, env: Any, node: Any, text: Any) -> Any:
     return None if thing is None else text
 
 
+def ancestors(node: nodes.Node) -> Iterator[nodes.Node]:
+    while node := node.parent:
+        yield node
+
+
 class Links(SphinxPostTransform):
     """``mfc.gains.pid(...)`` in the text of a page is a link to the reference."""
 
@@ -129,7 +136,8 @@ class Links(SphinxPostTransform):
             found = re.fullmatch(r"mfc(?:_analysis)?\.([\w.]+)(?:\(.*\))?", node.astext(), re.DOTALL)
             name = f"mfc_analysis.{found[1]}" if found else ""
             known = self.env.domains.python_domain.objects.get(name)
-            if known and known.docname != self.env.current_document.docname and not isinstance(node.parent, nodes.reference):
+            linked = any(isinstance(above, (nodes.reference, addnodes.pending_xref)) for above in ancestors(node))
+            if known and known.docname != self.env.current_document.docname and not linked:
                 to = make_refnode(self.app.builder, self.env.current_document.docname, known.docname, known.node_id, node.deepcopy(), name)
                 node.replace_self(to)
 

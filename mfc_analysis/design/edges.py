@@ -66,8 +66,8 @@ class Judge:
     requirements: Requirements
     times: Array
     at: str | None = None
-    _known: dict[ClosedLoop, float] = field(default_factory=dict, repr=False)
-    _rooms: dict[ClosedLoop, float] = field(default_factory=dict, repr=False)
+    _known: dict[ClosedLoop, float] = field(default_factory=dict, init=False, repr=False)
+    _rooms: dict[ClosedLoop, float] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         checks.instance("requirements", self.requirements, Requirements, "a Requirements, such as mfc.Requirements(phase_deg=45)")
@@ -246,7 +246,7 @@ class _Apart:
     judge: Judge
 
     def __call__(self, x: float) -> list[float]:
-        return replace(self.judge, _known={}, _rooms={}).distances(_made(self.make, x))
+        return replace(self.judge).distances(_made(self.make, x))
 
 
 def first_edge(
