@@ -101,7 +101,7 @@ def _matrices(L: Any) -> tuple[Array, Array, Array, Array, float, tuple[str, ...
 def _with_samples(A: Array, B: Array, C: Array, D: Array, samples: Array) -> tuple[Array, Array, Array, Array]:
     """Each output (n,) late by whole samples, held in states."""
     whole = np.rint(samples)
-    takes = f"whole sample times of L, at most {MOST_SAMPLES}: a fraction acts within the hold, which a discrete L no longer shows"
+    takes = f"whole sample times of L, at most {MOST_SAMPLES}: a fraction acts within the hold, which a discrete L does not contain"
     if np.abs(samples - whole).max() > 1e-9 * max(1.0, whole.max()) or whole.max() > MOST_SAMPLES:
         raise BadArgument("delay", f"{samples.max():.6g} samples", takes)
     for row, count in enumerate(whole.astype(int)):

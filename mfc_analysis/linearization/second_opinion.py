@@ -45,7 +45,7 @@ LIGHTLY = 1e-2  #: damping ratio of a pole beside which a contour needs many poi
 CROSSES, NEARLY = 1e-3, 1e-2  #: | |L| - 1 | or |sin arg L| up to which L crosses there, and crosses there but for rounding of the frequency
 MOST_SAMPLES = 20_000  #: of a sampled loop's step response, which is left out where it takes more
 SAMPLES, FREQUENCIES = 4000, 1500  #: of a step response and of a grid
-LOST = "its polynomials have lost their digits"
+LOST = "its polynomials have too few correct digits"
 UNSTABLE = "no stability flag: it gives the figure of an unstable loop as it does of a stable one"
 
 
@@ -238,7 +238,7 @@ def _stable(case: _Case) -> Comparison:
     same = bool((closed.real[np.abs(closed) >= case.radius] < 0).all()) == case.judged
     lightly = poles[int(np.argmin(np.where(np.isfinite(poles), np.abs(poles.real) / np.maximum(np.abs(poles), 1e-300), np.inf)))]
     rules = [
-        (near, "L has poles on the axis or within 1/horizon of 0: whether its contour passes them left or right is a matter of rounding"),
+        (near, "L has poles on the axis or within 1/horizon of 0: whether its contour passes them on the left or on the right depends on rounding"),
         (case.system.delayed, f"Pade approximation of order {PADE}"),
         (bool(case.verdict.slow[0]), "slow roots: our verdict leaves them out"),
         (

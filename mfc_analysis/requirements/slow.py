@@ -119,10 +119,11 @@ def _free(evidence: Evidence, i: int) -> str:
     kind, names, many = _way(evidence, i, left)
     within = f"within {evidence.horizon:g} s"
     if kind == "joint":
-        return f"nothing brings {names} back {within}: {'they stay' if many else 'it stays'} nearly where put; add position feedback there"
+        stay = "they stay nearly where they are put" if many else "it stays nearly where it is put"
+        return f"nothing brings {names} back {within}: {stay}; add position feedback there"
     if kind == "posture":
-        return f"nothing brings the posture ({names}) back {within}: it stays nearly where put; add a posture task"
-    return f"nothing brings the tool back {names} (tool axes) {within}: it stays nearly where put; {_cure(evidence)}"
+        return f"nothing brings the posture ({names}) back {within}: it stays nearly where it is put; add a posture task"
+    return f"nothing brings the tool back {names} (tool axes) {within}: it stays nearly where it is put; {_cure(evidence)}"
 
 
 def _cure(evidence: Evidence) -> str:

@@ -116,10 +116,10 @@ def check_inertias(model: pin.Model, inertias: Mapping[str, Array]) -> None:
         moments = np.linalg.eigvalsh(inertias[link])
         rounding = _ROUNDING * float(np.abs(moments).max())
         if moments[0] < -rounding:
-            raise BadRobot(f"link {link!r}: its inertia has a negative principal moment, {moments[0]:.3g} kg m^2, which no body has")
+            raise BadRobot(f"link {link!r}: its inertia has a negative principal moment, {moments[0]:.3g} kg m^2, which is not possible")
         if moments[2] > moments[0] + moments[1] + rounding:
             said = ", ".join(f"{moment:.3g}" for moment in moments)
-            text = f"link {link!r}: its principal moments of inertia {said} kg m^2 are those of no body: the largest is above the sum of the others"
+            text = f"link {link!r}: its principal moments of inertia {said} kg m^2 are not possible: the largest is above the sum of the others"
             warnings.warn(text, MfcWarning, stacklevel=4)
 
 

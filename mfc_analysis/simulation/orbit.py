@@ -59,7 +59,9 @@ def floquet(e: Equations, period: float | None = None, max_evaluations: int | No
         left = most - sum(earlier.evaluations for earlier in runs)
         runs.append(simulate(e, [0.0, end], x, method="LSODA", max_evaluations=max(1, left), **TIGHT))
         if runs[-1].outcome is Outcome.STOPPED:
-            used = f"{most} evaluations of the equations are not enough, used up in run {len(runs)} of the search over a period of {T:g} s"
+            used = (
+                f"{most} evaluations of the equations are not enough: the limit was reached in run {len(runs)} of the search over a period of {T:g} s"
+            )
             raise NotEnoughWork(f"no periodic orbit found: {used}; max_evaluations= allows more")
         if runs[-1].diverged:
             raise NotConverged(f"no periodic orbit found: {runs[-1].message}")

@@ -68,7 +68,7 @@ def exported(one: StudyLoop, text: str = "", controller: str = "joint_trajectory
     notes: list[str] = []
     gains = _gains(loop.law, one, notes)
     if controller == "pid_controller" and gains.ff.any():
-        notes.append("pid_controller multiplies the position, not the velocity, by feedforward_gain: it is 0 here, and the feedforward is lost")
+        notes.append("pid_controller multiplies the position, not the velocity, by feedforward_gain: it is 0 here, and there is no feedforward")
     limit = _limits(one, gains.interface, notes)
     yaml, tree = _read(text)
     manager = _inner(tree, ("controller_manager", "ros__parameters"))
@@ -163,7 +163,7 @@ def _gains(law: Law, one: StudyLoop, notes: list[str]) -> _Gains:
     n, kind = one.loop.robot.n, type(law).__name__
     if kind not in LAWS:
         model = " 9.11's outer loop may be any system;" if kind == "InverseDynamics" else ""
-        takes = f"one of {', '.join(LAWS)}:{model} these controllers have neither a model of the arm, nor its tool, nor a force; see the guide"
+        takes = f"one of {', '.join(LAWS)}:{model} these controllers have no model of the arm, no tool pose and no force; see the guide"
         raise Unsupported("law", kind, takes)
     gains = law.gains()
     for key, gain in gains.items():
@@ -226,7 +226,7 @@ def _limits(one: StudyLoop, interface: str, notes: list[str]) -> Array:
         return np.asarray(robot.limits.velocity, float)
     given = one.loop.equations.hardware.torque_limit
     if given is None:
-        notes.append("u_clamp and i_clamp are the effort limits of the model; the analysis is linear and knows no clamp")
+        notes.append("u_clamp and i_clamp are the effort limits of the model; the linear analysis has no clamp")
     return np.broadcast_to(np.asarray(robot.limits.torque if given is None else given, float), (robot.n,))
 
 

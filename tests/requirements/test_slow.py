@@ -53,7 +53,7 @@ def test_free_positions_stay_where_they_are_put() -> None:
     )
     words = slow_words(Evidence(loop.equations, np.zeros(1)))
     assert words.roots.startswith("7 slow roots") and "zero to rounding" in words.roots and words.moves == words.fastest == ""
-    assert words.means.startswith("nothing brings all 7 joints back within 100 s: they stay nearly where put; add position feedback")
+    assert words.means.startswith("nothing brings all 7 joints back within 100 s: they stay nearly where they are put; add position feedback")
     assert mfc.Requirements().check(loop, [0.0]).status == "PASS" and words.means in str(mfc.Requirements().check(loop, [0.0]))
 
 
@@ -68,7 +68,9 @@ def test_a_joint_that_is_free_and_does_not_drift_is_named(hardware: dict[str, fl
 
 def test_a_prismatic_joint_that_is_free_is_named() -> None:
     loop = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.ComputedTorque(kp=0.0, kd=5.0), mfc.trajectories.Hold([0.0]))
-    assert slow_words(Evidence(loop.equations, np.zeros(1))).means.startswith("nothing brings slide back within 100 s: it stays nearly where put")
+    assert slow_words(Evidence(loop.equations, np.zeros(1))).means.startswith(
+        "nothing brings slide back within 100 s: it stays nearly where it is put"
+    )
 
 
 def test_a_gripped_tool_turns_freely_about_its_grip_and_a_redundant_arm_keeps_its_posture() -> None:

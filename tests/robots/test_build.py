@@ -129,7 +129,7 @@ def test_an_inertia_above_the_triangle_inequality_warns_of_its_link():
 
     for plate in (0.03, 0.03002):  # ixx + iyy = 0.03; the second is above by less than what three digits tell
         assert arm(plate)[1] == []
-    assert "link 'two': its principal moments of inertia 0.01, 0.02, 0.0301 kg m^2 are those of no body" in arm(0.03006)[1][0]
+    assert "link 'two': its principal moments of inertia 0.01, 0.02, 0.0301 kg m^2 are not possible" in arm(0.03006)[1][0]
     found, said = arm(0.5)
     assert len(said) == 1 and found.mass([0.0, 0.0])[1, 1] == pytest.approx(0.5 + 0.2**2)
 

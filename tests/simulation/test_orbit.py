@@ -99,7 +99,9 @@ def test_an_orbit_far_from_the_reference_is_found_from_a_run():
 
 def test_the_work_of_the_search_is_limited_over_all_its_runs():
     loop = soft()
-    with pytest.raises(NotConverged, match=r"2000 evaluations .* not enough, used up in run \d+ .* over a period of 3.14159 s; max_evaluations="):
+    with pytest.raises(
+        NotConverged, match=r"2000 evaluations .* not enough: the limit was reached in run \d+ .* over a period of 3.14159 s; max_evaluations="
+    ):
         loop.floquet(max_evaluations=2000)
     with pytest.raises(BadArgument, match="max_evaluations"):
         loop.floquet(max_evaluations=0)

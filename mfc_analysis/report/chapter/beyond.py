@@ -82,12 +82,12 @@ def impedance_section() -> Section:
     shown = lin.passivity()
     drawn = Figure(
         lambda: shown.plot(ax=plots.axes_for("map")),
-        "Damping that the tool shows to what touches it, D = 2 T K: positive at all frequencies, so no spring makes it unstable.",
+        "Damping of the port at the tool, D = 2 T K: positive at all frequencies, so no spring makes the loop unstable.",
         "Damping of the port over frequency: nowhere negative; it falls to zero above the lag.",
     )
     finding = (
         f"Behind a torque lag of {1e3 * LAG:g} ms an impedance with K = {K:g} N/m is stable if and only if its damping exceeds T K = "
-        f"{LAG * K:g} Ns/m, whatever the wall; then it is passive too."
+        f"{LAG * K:g} Ns/m, for a wall of any stiffness; then it is passive too."
     )
     body = (
         Equation(laws.Impedance.typst, "impedance control"),
@@ -139,20 +139,20 @@ def admittance_section(full: bool = True) -> Section:
         holds[factor] = not run.diverged and settles(run.t, run.force[:, 2])
     lin = admittance_loop().linearize([0.0])
     finding = (
-        f"With a damping of {DAMPING:g} Ns/m a UR5 at 125 Hz, with an inner servo of 8 Hz and 16 ms of dead time, stands walls up to "
-        f"{written(limit / 1e3)} kN/m. The wall turns a motion that comes late into a force that comes late; more damping slows the arm, so that it "
-        "stands a stiffer wall, and moves more slowly under the same force."
+        f"With a damping of {DAMPING:g} Ns/m a UR5 at 125 Hz, with an inner servo of 8 Hz and 16 ms of dead time, is stable on walls "
+        f"up to {written(limit / 1e3)} kN/m. On a wall a delayed motion is a delayed force. More damping makes the arm slower under the same "
+        "force, and stable on a stiffer wall."
     )
     body = (
         Equation(laws.Admittance.typst, "admittance control through the servo of the arm"),
         Table(
             f"The stiffest wall over the damping of the admittance (inertia {INERTIA:g} kg).",
-            (Column("damping", "Ns/m"), Column("stands walls up to", "kN/m"), Column("free speed under 20 N", "mm/s")),
+            (Column("damping", "Ns/m"), Column("stable on walls up to", "kN/m"), Column("free speed under 20 N", "mm/s")),
             tuple((Number(D), Number(k / 1e3, infinite="any"), Number(2e4 / D)) for D, k in zip(dampings, limits, strict=True)),
         ),
         Table(
-            f"What limits it, one after the other, at {DAMPING:g} Ns/m.",
-            (Column("the arm", numeric=False), Column("stands walls up to", "kN/m")),
+            f"What limits it, each effect added to those above it, at {DAMPING:g} Ns/m.",
+            (Column("the arm", numeric=False), Column("stable on walls up to", "kN/m")),
             tuple((name, Number(k / 1e3, infinite="any")) for name, k in chain.items()),
         ),
         Callout(
@@ -200,12 +200,14 @@ def impact_section(speeds: tuple[float, ...] = SPEEDS, duration: float = TOUCHIN
     soft, stiff = (int(found.bounces[i].max()) for i in (0, -1))
     finding = (
         f"Touching at up to {max(speeds):g} m/s, a mass of {MASS:g} kg that presses under 9.23 leaves rubber {soft} times and steel {stiff} times in "
-        f"{duration:g} s. It bounces on steel because the loop in contact is stable only up to {written(limit / 1e3)} kN/m with this lag: there each "
-        "touch feeds the next."
+        f"{duration:g} s. It bounces on steel because the loop in contact is stable only up to {written(limit / 1e3)} kN/m with this lag: on a "
+        "stiffer surface the oscillation of the force grows until the tool lifts off."
     )
     body: tuple[Block, ...] = (
         Equation('F_"max" = v sqrt(k m)', "peak force of a mass that meets an elastic surface at speed v"),
-        Table("Touching at speed under 9.23 with a torque lag of 2 ms, one-sided contact; beside it a mass without a law.", columns, rows),
+        Table(
+            "Touching at speed under 9.23 with a torque lag of 2 ms, one-sided contact; for comparison a mass without a controller.", columns, rows
+        ),
     )
     if len(speeds) > 1:
         body += (Row((Figure(partial(_map, found), "Peak force over speed, a curve for each surface.", f"Peak force over speed: {found}."),)),)

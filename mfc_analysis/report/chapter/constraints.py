@@ -84,7 +84,7 @@ def invariance_section() -> Section:
     other = abs(float((Ad @ V) @ (Ad @ W) - V @ W))
     finding = (
         f"In a tool frame shifted by 0.37 m and rotated, the peg's twists and wrenches stay reciprocal. The change "
-        f"of frame leaves V · F as it is and changes the product of two twists by {written(other)}."
+        f"of frame does not change V · F, and changes the product of two twists by {written(other)}."
     )
     body = (
         Paragraph(

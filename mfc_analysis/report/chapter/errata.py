@@ -192,7 +192,7 @@ def kinematics_section() -> Section:
     torque = apply(np.swapaxes(arm().jacobian(q), 1, 2), apply(arm().task_inertia(q), drift))
     missed, share = float(np.abs(torque).max()), float(np.abs(drift[:, 3:]).max() / np.abs(dV[:, 3:]).max())
     cost = (
-        f"Without the term hidden by the missing plus sign, the torques along the path are wrong by up to {written(missed)} Nm "
+        f"Without the term that the missing plus sign removes, the torques along the path are wrong by up to {written(missed)} Nm "
         f"and the angular acceleration by {written(100 * share)} % of its largest value."
     )
     compare = two(

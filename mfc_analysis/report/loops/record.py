@@ -162,7 +162,9 @@ def setups_section(sections: Iterable[Section]) -> tuple[Section, ...]:
         return ()
     heads = (("Loops", 5.0), ("Arm and controller's model", 2.4), ("Reference and times", 5.0), ("Hardware and surfaces", 4.6), ("At", 1.4))
     rows = tuple((_names(names), *cells) for cells, names in groups.items())
-    caption = "The loops as they were analysed. With the gains, each can be rebuilt from here; the JSON has all digits, and the Python code of each."
+    caption = (
+        "The loops as they were analysed. Each can be rebuilt from these values and its gains; the JSON has all digits, and the Python code of each."
+    )
     return (
         Section(
             "Arms, paths and hardware", body=(Table(caption, tuple(Column(x, numeric=False, share=share) for x, share in heads), rows),), key="setups"

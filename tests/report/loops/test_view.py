@@ -94,4 +94,4 @@ def test_a_loop_that_slides_says_in_its_finding_what_slides_how_slowly_and_what_
         assert "time constant of" in said or "zero to rounding" in said
     assert "othing" not in mass().summary()
     free = view(mfc.ClosedLoop(mfc.robots.load("panda"), L.ComputedTorque(kp=0.0, kd=5.0), T.Hold([0.3, 0.3, 0.3, -1.5, 0.3, 1.5, 0.3])))
-    assert "Nothing brings all 7 joints back within 100 s: they stay nearly where put; add position feedback there." in free.summary()
+    assert "Nothing brings all 7 joints back within 100 s: they stay nearly where they are put; add position feedback there." in free.summary()
