@@ -129,7 +129,7 @@ class Passivity:
         return table(f"Passivity at the {self.at}, t = {self.times[i]:g} s", ("quantity", "value"), rows)
 
     def plot(self, index: int | None = None, *, ax: Axes | None = None) -> Axes:
-        """The damping that the port shows over frequency at one time, by its ``index`` (None: the worst): below 0 it gives energy.
+        """The damping of the port over frequency at one time, by its ``index`` (None: the worst): below zero it gives energy.
 
         ``ax``: to draw in; None: a new figure of pyplot.
         """
@@ -138,7 +138,7 @@ class Passivity:
         m = len(self.times)
         i = self.worst() if index is None else checks.whole("index", index, -m, m - 1) % m
         said = str(self.outcome[i]).split(":")[0]
-        title = f"Damping that the {self.at} shows, t = {self.times[i]:g} s"
+        title = f"Damping at the {self.at}, t = {self.times[i]:g} s"
         return plots.passivity(self.frequencies[i], self.shown[i], crossings=self.crossings[i], said=said, title=title, ax=plots.shown("map", ax)[0])
 
 

@@ -51,7 +51,7 @@ def admittance(
 
 
 def passivity(
-    frequencies: ArrayLike, damping: ArrayLike, *, crossings: ArrayLike = (), said: str = "", title: str = "Damping that the port shows",
+    frequencies: ArrayLike, damping: ArrayLike, *, crossings: ArrayLike = (), said: str = "", title: str = "Damping of the port",
     ax: Axes | None = None,
 ) -> Axes:  # fmt: skip
     """Smallest eigenvalue of the real part of the impedance over frequency: below 0 the port gives energy.
