@@ -193,8 +193,8 @@ def _converted(law: Law, one: StudyLoop, p: Array, i: Array, d: Array, notes: li
     )
     apart = np.abs(M - np.diag(m)).sum(axis=1) / m
     notes.append(
-        f"this is 9.8, another law than the study's: M(q) is frozen and its coupling dropped (its largest share here: {apart.max():.0%} of M_jj, "
-        f"{model.joint_names[int(apart.argmax())]}), gravity and Coriolis torques are not compensated; check it as a study with --from"
+        f"this is 9.8, not the law of the study: M(q) is constant and its coupling is left out (up to {apart.max():.0%} of M_jj here, "
+        f"{model.joint_names[int(apart.argmax())]}); gravity and Coriolis torques are not compensated. Check it as a study with --from"
     )
     said = tuple(f"= kp {k:.6g} 1/s^2 x M_jj {value:.6g} {unit}" for k, value, unit in zip(p, m, units, strict=True))
     ff = np.asarray(model.viscous, float)

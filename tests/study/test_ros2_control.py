@@ -119,7 +119,7 @@ def test_gains_of_computed_torque_become_nm_per_rad_by_the_mass_matrix(tmp_path:
     assert_allclose([gains[j]["i"] for j in JOINTS], 200 * m, rtol=1e-12)
     assert_allclose([gains[j]["d"] for j in JOINTS], 20 * m, rtol=1e-12)
     said = " ".join(made.notes)
-    assert "1/s^2" in said and "Nm/rad" in said and f"elbow_joint {m[2]:.4g} kg m^2" in said and "another law" in said
+    assert "1/s^2" in said and "Nm/rad" in said and f"elbow_joint {m[2]:.4g} kg m^2" in said and "not the law of the study" in said
     assert f"# = kp 100 1/s^2 x M_jj {m[2]:.6g} kg m^2" in made.text
     law, notes = law_table(made.text, JOINTS)  # what the arm will run is 9.8, and so it is read
     assert law["name"] == "JointPID" and "no model of the arm" in notes[0]

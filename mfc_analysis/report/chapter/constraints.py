@@ -32,7 +32,7 @@ def constraint_section(title: str, given: ConstraintSet, key: str) -> Section:
     )
     A = given.rows
     finding = (
-        f"{given.rank_free} directions are free and {given.rank_constraint} constrained, {given.rank_free + given.rank_constraint} in all; every "
+        f"{given.rank_free} directions are free and {given.rank_constraint} constrained, {given.rank_free + given.rank_constraint} in all. Every "
         "free twist is reciprocal to every constraint wrench: their product is zero."
     )
     P = projection(A, arm().task_inertia(POSE))

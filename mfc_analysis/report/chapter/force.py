@@ -220,7 +220,7 @@ def free_space_section() -> Section:
     a, b = runs[0], runs[1]
     finding = (
         f"In free space, 9.22 accelerates the slider to {written(float(a.speed[-1]))} m/s and the UR5 to "
-        f"{written(float(runs[2].speed[-1]))} m/s within 1 s; under 9.23 the slider's speed still ramps at {written(b.acceleration)} m/s², "
+        f"{written(float(runs[2].speed[-1]))} m/s within 1 s. Under 9.23 the slider's speed still ramps at {written(b.acceleration)} m/s², "
         f"because the force integral winds up. {sum(drifts)} of {len(runs)} loops drift, "
         f"{sum(not d for d in drifts)} {'is' if sum(not d for d in drifts) == 1 else 'are'} unstable; none is stable."
     )

@@ -104,7 +104,7 @@ def first_section() -> Section:
         Paragraph(
             f"A UR5 under 9.10 (triple pole at {BANDWIDTH:g} rad/s) holds a pose with an unknown payload of {PAYLOAD:g} kg and a torque "
             "lag of 2 ms. Each imperfection is increased alone until the loop becomes unstable. The expected values are the rated payload of the "
-            "arm, an interface at 125 Hz and a dead time of one sample: what is required is that the limit is beyond the expected value."
+            "arm, an interface at 125 Hz and a dead time of one sample. The limit must be beyond the expected value."
         ),
         Table(
             "Nonlinear simulations on both sides of two limits.",

@@ -214,7 +214,7 @@ def velocity_pi(designs: Designs) -> Section:
     ki = float(designs.law("9.3", arm).gains()["ki"].matrix(1)[0, 0])
     slow = printed.rightmost / standard.rightmost
     cost = (
-        f"The integral gain is 1 1/s² instead of the intended {written(ki, exact=True)} 1/s²: the slowest pole moves from "
+        f"The integral gain is 1 1/s² instead of the intended {written(ki, exact=True)} 1/s². The slowest pole moves from "
         f"{written(standard.rightmost)}"
         f" to {written(printed.rightmost)} 1/s, errors take {written(1 / slow)} times as long to decay, and the phase margin changes from"
         f" {written(standard.phase)}° to {written(printed.phase)}°."
@@ -319,6 +319,6 @@ def _cost(printed: Form, standard: Form) -> str:
         )
     down = [float(-decibels(x.view.margins.gain_reduction.max())) for x in (standard, printed)]
     return (
-        f"dh/dq and dh/dv stay in the loop: {moved}, and the lower gain margin is {written(down[1])} instead of {written(down[0])} dB; in a "
+        f"dh/dq and dh/dv stay in the loop: {moved}, and the lower gain margin is {written(down[1])} instead of {written(down[0])} dB. In a "
         f"4 s run with an initial error of {written(OFFSET, exact=True)} rad the largest error is {_times(printed.largest, standard.largest)}."
     )

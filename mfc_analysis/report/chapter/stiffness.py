@@ -207,7 +207,7 @@ def arm_section() -> Section:
     always = bool(ideal.stable.all())
     finding = (
         f"The UR5 pressing under 9.23 is stable up to {written(limit / 1e3)} kN/m with a torque lag and a force filter of 2 ms each, and up to "
-        f"{written(late_limit / 1e3)} kN/m with an additional 1 ms of dead time; the ideal loop is {'stable' if always else 'not stable'} "
+        f"{written(late_limit / 1e3)} kN/m with an additional 1 ms of dead time. The ideal loop is {'stable' if always else 'not stable'} "
         "from 0.1 kN/m to 1 MN/m."
     )
     worst = int(np.argmin(np.abs(SPAN - limit)))

@@ -99,9 +99,9 @@ def summary(designs: Designs) -> Section:
     finding = (
         "The plant is an integrator in each joint, so these loops are the same on every arm (the full report has all three). 9.1 has no feedback:"
         f" an initial error of {written(OFFSET, exact=True)} rad is still {written(abs(float(kept)))} rad after 2 s, and a disturbance of"
-        f" {written(DISTURBANCE, exact=True)} rad/s has become {written(abs(float(pushed)))} rad. With feedback the lag at speed v is v/k"
-        f" (9.2: {written(SLOPE / k)} rad on the ramp), the integral removes it (9.3: only a/ki = {written(BEND / ki)} rad on the parabola is left),"
-        f" and feedforward (9.4) removes both without a change of the margins ({written(found['9.4']['phase'])}°)."
+        f" {written(DISTURBANCE, exact=True)} rad/s has become {written(abs(float(pushed)))} rad. With feedback the error at speed v is v/k"
+        f" (9.2: {written(SLOPE / k)} rad on the ramp). The integral removes it (9.3: a/ki = {written(BEND / ki)} rad on the parabola is left)."
+        f" Feedforward (9.4) removes both without a change of the margins ({written(found['9.4']['phase'])}°)."
     )
     proofs = (
         agreement("9.2, error on the ramp: v/k", found["9.2"]["ramp_error"], SLOPE / k, 1e-3),

@@ -136,8 +136,8 @@ def picture(document: Document) -> Figure | None:
     low = np.nanmin(np.where(np.isfinite(ratio), ratio, np.nan)) if np.isfinite(ratio).any() else np.nan
     return Figure(
         partial(plots.overview, tuple(rows), heads, ratio, tuple(map(tuple, words)), tuple(marks)),
-        "Margins of all loops against their limits. A bar is the value over its limit (a limit that is not to be exceeded: limit over value), and "
-        "it must reach the dashed line; bars end at three times the limit. Loops marked DEMO are shown to make a point and do not count.",
+        "Margins of all loops against their limits. A bar is the value over its limit (of an upper limit: the limit over the value). "
+        "It must reach the dashed line. Bars end at three times the limit. Loops marked DEMO are shown to make a point and do not count.",
         f"Bars of {len(labels)} margins of {len(rows)} loops against their limits; the smallest is {written(float(low))} times its limit.",
     )
 
