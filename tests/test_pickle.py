@@ -198,3 +198,19 @@ def test_the_list_has_every_class_of_results(made: dict[str, Any]) -> None:
         for name, cls in inspect.getmembers(module, inspect.isclass):
             if cls.__module__ == module.__name__ and is_dataclass(cls) and not issubclass(cls, Enum) and not name.startswith("_"):
                 assert name in there | WITHIN, f"{module.__name__}.{name} is neither in the list nor in WITHIN"
+
+
+def test_a_loop_is_sent_without_what_it_has_computed() -> None:
+    """Else each chunk of many times carries those times again."""
+    robot = mfc.robots.ur5()
+    path = mfc.trajectories.Sinusoid(center=regular_pose("ur5"), amplitude=0.3, frequency=2.0)
+    law = mfc.laws.TaskComputedTorque(**mfc.gains.pid(bandwidth=5.0))
+    loop = mfc.ClosedLoop(robot.with_payload(1.0), law, path, controller_model=robot)
+    fresh = len(pickle.dumps(loop))
+    A = loop.linearize(np.linspace(0.0, 3.0, 400)).A
+    sent = pickle.dumps(loop)
+    assert len(sent) < 1.2 * fresh
+    again = pickle.loads(sent)
+    np.testing.assert_array_equal(again.linearize(np.linspace(0.0, 3.0, 400)).A, A)
+    q = regular_pose("ur5")
+    assert again.equations.plant.at(q).J is again.equations.controller.at(q).J  # one kinematics for both, as before

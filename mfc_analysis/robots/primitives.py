@@ -52,6 +52,9 @@ class Primitives:
         self._seen: list[Configuration] = []
         self._like = like if like is not None and self._moves_like(like) else None
 
+    def __reduce__(self) -> tuple[type[Primitives], tuple[Robot, Primitives | None]]:  # without Pinocchio's Data and what is cached
+        return type(self), (self.robot, self._like)
+
     def at(self, q: Array) -> Configuration:
         """M, J, X at the configurations q (..., n), cached for repeated calls with the same array."""
         for known in self._seen:
