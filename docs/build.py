@@ -1,9 +1,9 @@
-"""The whole docs step: runs the blocks of README.md and of the guide, then builds the site in build/site with warnings as errors.
+"""The whole docs step: runs the blocks of README.md and of the guide, builds the site in build/site with warnings as errors, and checks it.
 
     python docs/build.py                 everything
     python docs/build.py docs/start.md   only the blocks of these pages
 
-``docs/conftest.py`` says what runs and what is compared; ``docs/conf.py`` has the settings of the site.
+``docs/conftest.py`` says what runs and what is compared, ``docs/conf.py`` has the settings of the site, ``docs/check_site.py`` looks at it.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def main(pages: list[str]) -> int:
-    """Runs the pages, then sphinx-build; returns the first exit code that is not 0."""
+    """Runs the steps until one fails; returns its exit code."""
     run = [sys.executable, "-m"]
-    code = subprocess.call([*run, "pytest", "-q", *(pages or [ROOT / "docs", ROOT / "README.md"]), "-n", "2", "--dist", "loadfile"])
-    if code or pages:
-        return code
-    return subprocess.call([*run, "sphinx", "-q", "-W", "--keep-going", "-E", "-d", "build/doctrees", "docs", "build/site"], cwd=ROOT)
+    steps = [[*run, "pytest", "-q", "-n", "2", "--dist", "loadfile", *(pages or [ROOT / "docs", ROOT / "README.md"])]]
+    if not pages:
+        sphinx = [*run, "sphinx", "-q", "-W", "--keep-going", "-E", "-j", "2", "-d", ROOT / "build" / "doctrees"]
+        steps += [[*sphinx, ROOT / "docs", ROOT / "build" / "site"], [*run, "pytest", "-q", "-n", "2", ROOT / "docs" / "check_site.py"]]
+    return next((code for step in steps if (code := subprocess.call(step))), 0)
 
 
 if __name__ == "__main__":

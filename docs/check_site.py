@@ -43,7 +43,9 @@ def test_every_link_within_the_guide_leads_to_a_file_and_to_an_anchor_that_are_t
 
 
 def test_no_page_loads_anything_from_the_network() -> None:
-    loads = re.compile(r'<(?:script|img|iframe|source)\b[^>]*\bsrc="(?:https?:)?//|<link\b[^>]*\brel="(?:stylesheet|preload|icon)"[^>]*href="(?:https?:)?//')
+    loads = re.compile(
+        r'<(?:script|img|iframe|source)\b[^>]*\bsrc="(?:https?:)?//|<link\b[^>]*\brel="(?:stylesheet|preload|icon)"[^>]*href="(?:https?:)?//'
+    )
     assert [page.name for page in PAGES if loads.search(page.read_text(encoding="utf-8"))] == []
 
 
@@ -56,7 +58,13 @@ def asked(tmp_path: Path, page: str, script: str, query: str = "", dark: bool = 
     run = f"<script>addEventListener('load', async () => {{ {then}; document.body.append(pre) }})</script>"
     probe.write_text(text[:ending] + run + text[ending:], encoding="utf-8")
     quiet = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync"]
-    quiet += ["--disable-component-update", "--disable-dev-shm-usage", "--virtual-time-budget=30000", f"--user-data-dir={tmp_path}", "--window-size=1280,1000"]
+    quiet += [
+        "--disable-component-update",
+        "--disable-dev-shm-usage",
+        "--virtual-time-budget=30000",
+        f"--user-data-dir={tmp_path}",
+        "--window-size=1280,1000",
+    ]
     try:
         command = [str(BROWSER), *quiet, f"--blink-settings=preferredColorScheme={0 if dark else 1}", "--dump-dom", probe.as_uri() + query]
         dom = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", timeout=120).stdout
