@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +21,7 @@ def main(pages: list[str]) -> int:
     run = [sys.executable, "-m"]
     steps = [[*run, "pytest", "-q", "-n", "2", "--dist", "loadfile", *(pages or [ROOT / "docs", ROOT / "README.md"])]]
     if not pages:
+        shutil.rmtree(ROOT / "build" / "site", ignore_errors=True)
         sphinx = [*run, "sphinx", "-q", "-W", "--keep-going", "-E", "-j", "2", "-d", ROOT / "build" / "doctrees"]
         steps += [[*sphinx, ROOT / "docs", ROOT / "build" / "site"], [*run, "pytest", "-q", "-n", "2", ROOT / "docs" / "check_site.py"]]
     return next((code for step in steps if (code := subprocess.call(step))), 0)

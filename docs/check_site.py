@@ -54,8 +54,8 @@ def asked(tmp_path: Path, page: str, script: str, query: str = "", dark: bool = 
     text = (SITE / f"{page}.html").read_text(encoding="utf-8")
     probe = SITE / f"{page}.{'dark' if dark else 'light'}.probe.html"
     ending = text.rindex("</body>")
-    then = f"const out = await (async () => {{ {script} }})(); const pre = document.createElement('pre'); pre.id = 'said'; pre.textContent = JSON.stringify(out)"
-    run = f"<script>addEventListener('load', async () => {{ {then}; document.body.append(pre) }})</script>"
+    say = "const pre = document.createElement('pre'); pre.id = 'said'; pre.textContent = JSON.stringify(out); document.body.append(pre)"
+    run = f"<script>addEventListener('load', async () => {{ const out = await (async () => {{ {script} }})(); {say} }})</script>"
     probe.write_text(text[:ending] + run + text[ending:], encoding="utf-8")
     quiet = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync"]
     quiet += [

@@ -23,7 +23,7 @@ from sphinx.util.nodes import make_refnode
 import mfc_analysis
 
 #: types that print as in the source, not as what they stand for
-ALIASES = ("Array", "ArrayLike", "Bools", "Complex", "Ints", "Matrix", "Rule", "Value", "Vector")
+ALIASES = ("Array", "ArrayLike", "Bools", "Complex", "Ints", "Matrix", "Rule", "Tap", "Value", "Vector")
 #: other libraries, whose pages cannot be reached without network
 ELSEWHERE = r"(numpy|scipy|control|matplotlib|pinocchio|xarray|pathlib|os|typing|abc|enum|collections|datetime|types|functools)\."
 
