@@ -77,6 +77,7 @@ python_maximum_signature_line_length = 100
 copybutton_prompt_text = "$ "
 html_theme = "furo"
 html_title = "mfc_analysis"
+pygments_dark_style = "a11y-high-contrast-dark"
 html_math_renderer = "mathml"
 html_static_path = ["style.css"]
 html_css_files = ["style.css"]
