@@ -33,7 +33,10 @@ def nyquist(system: OpenSystem, at: str, channel: int | str | None, ax: Axes | N
     """Implements ``Linearization.plot_nyquist`` of a system with one point."""
     found, k, w, L = _loop(system, at, channel)
     peak, known = float(found.sensitivity_peak[0, k]), plots.of_channel(found, 0, k)
-    return plots.nyquist(w, L, sensitivity_peak=peak, **known, index=k, title=_title(found, k), ax=plots.shown("nyquist", ax)[0])
+    title = f"{found.channels[k]}, t = {found.times[0]:g} s"  # the sheet is narrow
+    axes = plots.nyquist(w, L, sensitivity_peak=peak, **known, index=k, title=title, ax=plots.shown("nyquist", ax)[0])
+    axes.set_xlabel(f"Re L at {found.at}")
+    return axes
 
 
 def poles(system: OpenSystem, damping: float | None, ax: Axes | None) -> Axes:

@@ -183,7 +183,7 @@ def nyquist(
     if np.isfinite(sensitivity_peak) and sensitivity_peak > 0:
         radius = 1 / sensitivity_peak
         ax.plot(-1 + radius * np.cos(turn), radius * np.sin(turn), color=sheet.INK, linewidth=1.0)
-        sheet.note(ax, f"circle: 1/Ms = {sheet.written(radius)}", (1.0, 1.0), ha="right", va="bottom", inside=True, shift=(0, 4))
+        sheet.note(ax, f"circle: 1/Ms = {sheet.written(radius)}", (1.0, 0.0), ha="right", va="bottom", inside=True, shift=(-3, 4), plate=True)
     if np.isfinite(crossover) and np.isfinite(phase_margin):
         at = complex(np.interp(np.log(crossover), np.log(w), np.real(values)), np.interp(np.log(crossover), np.log(w), np.imag(values)))
         arc = np.linspace(np.pi, np.pi + np.radians(phase_margin) * (1 if at.imag < 0 else -1), 60)

@@ -16,6 +16,7 @@ from mfc_analysis.errors import BadArgument, UnknownName, UnknownPoint
 from mfc_analysis.linearization.coupling import coupling
 from mfc_analysis.plots import figure as sheet
 from tests.plots.drawn import legend, levels, lines, marks, words
+from tests.plots.overlaps import drawn_texts, texts_on_texts
 
 ARM = mfc.robots.planar_2r()
 PATH = mfc.trajectories.Sinusoid([0.3, 0.8], 0.4, 3.0)
@@ -115,6 +116,17 @@ def test_a_nyquist_plot_stays_outside_the_disk_of_its_sensitivity_peak() -> None
     curve = lines(ax, color=sheet.colour(1))[0]
     assert np.nanmin(np.hypot(curve[:, 0] + 1, curve[:, 1])) == pytest.approx(1 / peak, rel=1e-3)
     assert f"circle: 1/Ms = {1 / peak:.3g}" in words(ax)
+
+
+def test_a_nyquist_plot_of_a_joint_with_a_long_name_has_room_for_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    law, pose = mfc.laws.VelocityP([7.0, 8.0, 7.0, 7.0, 7.0, 7.0]), mfc.trajectories.Hold(np.zeros(6))
+    lin = mfc.ClosedLoop(mfc.robots.ur5(), law, pose, hardware=mfc.Hardware(delay=0.05)).linearize([0.125])
+    ax = lin.plot_nyquist()
+    assert (ax.get_title(loc="left"), ax.get_xlabel()) == ("shoulder_lift_joint, t = 0.125 s", "Re L at velocity")
+    figure = sheet.figure_of(ax)
+    assert texts_on_texts(figure, monkeypatch) == []
+    boxes = [box for _, box, _ in drawn_texts(figure, monkeypatch)]
+    assert max(box.x1 for box in boxes) <= figure.bbox.x1
 
 
 def test_a_pole_plot_of_a_loop_with_dead_time_shows_its_roots_and_says_what_is_grey() -> None:
