@@ -96,10 +96,14 @@ def gather(app: Any) -> None:
         (DOCS / "notebooks" / book.name).write_text(json.dumps(cells), encoding="utf-8")
 
 
+def _without_title(page: Path) -> str:
+    return re.sub(r"\A# .*\n", "", page.read_text(encoding="utf-8"))
+
+
 def read(app: Any, page: str, source: list[str]) -> None:
     """What pages that stay plain Markdown need: ``<!-- include: FILE -->``, notebooks as pages, and on the first page the navigation."""
     source[0] = re.sub(r"\]\(\.\./examples/(\w+\.ipynb)\)", r"](notebooks/\1)", source[0])
-    source[0] = re.sub(r"<!-- include: (\S+) -->", lambda found: (ROOT / found[1]).read_text(encoding="utf-8"), source[0])
+    source[0] = re.sub(r"<!-- include: (\S+) -->", lambda found: _without_title(ROOT / found[1]), source[0])
     if page.startswith("reference/") and page != "reference/index":  # two hundred entries in the navigation of every page would take minutes
         source[0] = f"---\norphan: true\n---\n{source[0]}\n\n[All names by topic](index.md)\n"
     if page == "index":
