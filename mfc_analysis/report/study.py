@@ -118,7 +118,7 @@ def ranges_section(found: LoopCheck) -> Section:
     table = Table(f"{which[:1].upper()}{which[1:]}, the worst first; the controller's model does not change.", columns, rows)
     finding = f"The worst of {found.cases} cases is {case}: {worst.label} ({worst.place or 'everywhere'})."
     numbers = {"cases": found.cases, "worst": {line.name: {"found": line.found, "case": said} for line, said in found.lines}}
-    shown = checks(lines, loop=found.loop.loop)
+    shown = checks(lines)
     return Section(f"{found.loop.name}: parameter ranges", finding, (table,), shown, numbers=numbers, loop=f"{found.loop.name}, over its ranges")
 
 

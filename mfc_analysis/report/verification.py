@@ -99,7 +99,7 @@ def record(asserted: Asserted, test: str, number: int) -> Record:
             number,
             asserted.what,
             str(asserted.loop),
-            checks(found.lines, loop=asserted.loop),
+            checks(found.lines),
             asserted.passed,
             (),
             asserted.replay,
@@ -123,7 +123,7 @@ def record(asserted: Asserted, test: str, number: int) -> Record:
     late = bool(lin.delay or lin.force_delay)
     poles = np.array((evidence.roots[0] if late else lin.poles())[i][:POLES])
     return Record(
-        test, number, asserted.what, str(asserted.loop), checks(found.lines, loop=asserted.loop), asserted.passed, verdict.notes, asserted.replay,
+        test, number, asserted.what, str(asserted.loop), checks(found.lines), asserted.passed, verdict.notes, asserted.replay,
         verdict.at, np.array(verdict.times), asked, margins, poles[np.isfinite(poles)], late, {},
     )  # fmt: skip
 

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-9  #: fraction of the acceleration scale below which a residual is rounding error
 RUN_POINTS = 400  #: fewest samples of the nonlinear run
+TOOL_UNITS = (*("m",) * 3, *("rad",) * 3)  #: of X_e
 GRAVITY = 10.0  #: [m/s^2] the acceleration scale of an arm at rest
 SLIDES = 1e-8  #: fraction of its terms below which a slow displacement is rounding error
 EDGE = 1e-3  #: fraction of 1/horizon within which a root that was judged to grow is looked for among the slow ones
@@ -54,6 +55,7 @@ class Found(NamedTuple):
     where: str = ""  #: joint or channel
     when: float | None = None  #: [s]
     note: str = ""
+    unit: str = ""  #: of a displacement: that of its joint or channel
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +195,7 @@ class Evidence:
         where = e.parts["q"].where
         moved = np.stack([_displacement(A[i], left[i], where, self.horizon) for i in range(len(self.times))])
         i, j = np.unravel_index(int(np.argmax(moved)), moved.shape)
-        return Found(float(moved[i, j]), e.robot.joint_names[j], float(self.times[i]))
+        return Found(float(moved[i, j]), e.robot.joint_names[j], float(self.times[i]), unit=e.robot.joint_units[j])
 
     def _unstable(self) -> Found:
         bad = np.flatnonzero(~self.judged)
@@ -272,9 +274,12 @@ def _tracking(e: Evidence) -> Found:
     run = e.run
     if run.diverged:
         return Found(np.nan, "", run.end, run.message)
-    law = e.equations.law
-    names = tuple(f"X_e_{c}" if law.space == "tool" else c for c in law.error_channels(e.equations.robot.joint_names))
-    return _worst(np.abs(run.error), names, run.t, True)
+    law, robot = e.equations.law, e.equations.robot
+    names = tuple(f"X_e_{c}" if law.space == "tool" else c for c in law.error_channels(robot.joint_names))
+    of_tool = TOOL_UNITS if law.selection is None else law.selection.units
+    units = dict(zip(names, robot.joint_units if law.space == "joint" else of_tool, strict=True))
+    found = _worst(np.abs(run.error), names, run.t, True)
+    return found._replace(unit=units.get(found.where, ""))
 
 
 def _torque(e: Evidence) -> Found:

@@ -218,7 +218,9 @@ def compared(name: str, limit: float, found: Found, step: SettlingStep = "refere
     distance = found.value - limit if kind.least else limit - found.value
     status = Status.PASS if met else Status.FAIL
     sense = "≥" if kind.least else "≤"
-    return Line(name, limit, found.value, kind.unit, distance, status, found.where, found.when, sense, label=kind.said(step), note=found.note)
+    return Line(
+        name, limit, found.value, found.unit or kind.unit, distance, status, found.where, found.when, sense, label=kind.said(step), note=found.note
+    )
 
 
 def _stable(evidence: Evidence) -> Line:
@@ -252,11 +254,13 @@ def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
     found = evidence.implied_error()
     if found.value <= limit:
         return []
-    unit = "rad/s or m/s" if evidence.equations.actuator == "velocity" else "rad/s^2 or m/s^2"
-    largest = float(np.abs(evidence.linearization.residual).max(initial=0.0))
-    note = f"the loop does not stay at its operating point: the residual ({largest:.3g} {unit}) moves the joint this far"
+    residual, rate = np.abs(evidence.linearization.residual), "s" if evidence.equations.actuator == "velocity" else "s^2"
+    joint = int(np.argmax(residual.max(axis=0)))
+    largest = f"{residual.max():.3g} {evidence.equations.robot.joint_units[joint]}/{rate}"
+    note = f"the loop does not stay at its operating point: the residual ({largest}) moves the joint this far"
+    label = "error at rest" if evidence.equations.reference_source.is_hold else "lag behind the moving reference"
     distance = limit - found.value
-    return [Line("residual", limit, found.value, "rad or m", distance, Status.WATCH, found.where, found.when, "≤", label="error at rest", note=note)]
+    return [Line("residual", limit, found.value, found.unit, distance, Status.WATCH, found.where, found.when, "≤", label=label, note=note)]
 
 
 def _notes(evidence: Evidence, status: Status) -> tuple[str, ...]:

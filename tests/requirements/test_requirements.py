@@ -151,6 +151,25 @@ def test_a_residual_that_matters_is_watch_with_the_sag_it_implies():
     assert sag == pytest.approx(abs(loop.equilibrium().error[0]), rel=0.01)
 
 
+def test_a_displacement_has_the_unit_of_its_joint_or_direction():
+    rp, slider = mfc.robots.rp(), mfc.robots.slider()
+    path = mfc.trajectories.Sinusoid([0.3, 0.4], [0.2, 0.1], 4.0)
+    line = Requirements(tracking_error=1.0).check(mfc.ClosedLoop(rp, mfc.laws.JointPID(900.0, kd=60.0), path), [0.0]).line("tracking_error")
+    assert line.unit == dict(zip(rp.joint_names, ("rad", "m"), strict=True))[line.where]
+    moving = mfc.ClosedLoop(slider, mfc.laws.JointPID(40.0, kd=5.0), mfc.trajectories.Sinusoid([0.3], [0.2], 2.0))
+    verdict = Requirements(tracking_error=1.0).check(moving, [0.1])
+    assert {verdict.line(name).unit for name in ("tracking_error", "residual")} == {"m"}
+    assert verdict.line("residual").label == "lag behind the moving reference" and "m/s^2)" in verdict.line("residual").note
+
+    arm, q = mfc.robots.ur5(), [0.3, -1.2, 1.5, -0.8, -1.4, 0.2]
+    X = arm.pose(q)
+    for kp, unit in (([100.0] * 3 + [1e4] * 3, "m"), ([1e4] * 3 + [100.0] * 3, "rad")):  # what is held softly gives way to the payload
+        law = mfc.laws.TaskComputedTorque(kp, kd=2 * np.sqrt(kp))
+        loop = mfc.ClosedLoop(arm.with_payload(1.0), law, mfc.trajectories.ToolHold(X), controller_model=arm, q_start=q)
+        line = Requirements(tracking_error=1.0).check(loop, [0.0]).line("tracking_error")
+        assert line.unit == unit and line.where.startswith("X_e_v" if unit == "m" else "X_e_w")
+
+
 @pytest.mark.parametrize(("kp", "status"), [(0.981 / 1.01e-3, "WATCH"), (0.981 / 0.99e-3, "PASS")])
 def test_the_residual_matters_from_a_thousandth_of_a_radian(kp, status):
     loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.JointPID(kp, kd=50.0), hold(q=0.0))

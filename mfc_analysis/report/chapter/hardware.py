@@ -216,7 +216,7 @@ def disk_section() -> Section:
         row,
         Callout(Status.INFO, "Meaning of alpha", f"All torques: {all_.bound.value}. Torques and encoders: {both.bound.value}."),
     )
-    checks = as_checks(everywhere(ASKED.check(loop, [0.0], at="torque").lines, least(lin)), loop=loop)
+    checks = as_checks(everywhere(ASKED.check(loop, [0.0], at="torque").lines, least(lin)))
     numbers = {
         KEY: record(loop, at="torque"),
         **smallest_numbers(lin),

@@ -46,7 +46,7 @@ def loop_page(
         title[:1].upper() + title[1:] or view.name,
         finding or view.summary(),
         body,
-        checks(everywhere(view.verdict.lines, view.smallest), loop=view.loop),
+        checks(everywhere(view.verdict.lines, view.smallest)),
         numbers=numbers(view, found) | dict(more or {}),
         sources=law.cited(),
         loop=view.name,

@@ -86,7 +86,7 @@ def velocity_section(full: bool = True) -> Section:
         at_most("deviation from theory", 1e-6, float(np.abs(m.phase_deg[0] / 90 - 1).max()) * 100, "%", "phase margin 90°"),
         at_most("deviation from theory", 1e-6, float(np.abs(m.delay[0] / (np.pi / (2 * k)) - 1).max()) * 100, "%", "delay margin π/(2k)"),
     )
-    checks = as_checks(everywhere(ASKED.check(loop, [0.0], at="command").lines, least(lin)), loop=loop)
+    checks = as_checks(everywhere(ASKED.check(loop, [0.0], at="command").lines, least(lin)))
     numbers = {
         "times": run.t,
         "error": run.error,
@@ -299,7 +299,7 @@ def torque_section(full: bool = True) -> Section:
         response(lin, "torque", j, f"UR5, 9.16, {worst['torque'][2]}", i),
     )
     proofs = (at_most("deviation from theory", 1e-6, 100 * away, "%", "error polynomial"),)
-    checks = as_checks(everywhere(ASKED.check(real, t, at="torque").lines, least(lin)), loop=real)
+    checks = as_checks(everywhere(ASKED.check(real, t, at="torque").lines, least(lin)))
     numbers = {
         KEY: record(real, t, "torque"),
         **smallest_numbers(lin),

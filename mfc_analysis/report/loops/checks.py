@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import isfinite, isnan
-from typing import TYPE_CHECKING
 
 from mfc_analysis.analysis.loop_step import STEPS
 from mfc_analysis.report.document.document import found_of
 from mfc_analysis.report.loops.points import METRICS, PEAK, Smallest
 from mfc_analysis.requirements.line import Line, Status
-
-if TYPE_CHECKING:
-    from mfc_analysis.loop import ClosedLoop
 
 _SHOWN = {
     "deg": ("°", 1.0),
@@ -25,13 +20,13 @@ _SHOWN = {
 _INFINITE = {"gain_increase_db": "no limit", "gain_reduction_db": "no limit", "phase_deg": "no crossover", "delay": "no crossover"}
 
 
-def checks(lines: Iterable[Line], point: str = "", least: Mapping[str, Smallest] | None = None, loop: ClosedLoop | None = None) -> tuple[Line, ...]:
+def checks(lines: Iterable[Line], point: str = "", least: Mapping[str, Smallest] | None = None) -> tuple[Line, ...]:
     """The lines of a verdict in their order (failures first), in the units shown to the reader.
 
     ``point``: the analysis point of its margins, named in the lines. ``least``: the smallest margins of the loop; a smaller one at another
-    point is named too. ``loop``: its joints have their own units, and a moving reference is followed with a lag.
+    point is named too.
     """
-    return tuple(_shown(_own_words(_placed(line, point, least or {}), loop)) for line in lines)
+    return tuple(_shown(_placed(line, point, least or {})) for line in lines)
 
 
 def everywhere(lines: Iterable[Line], least: Mapping[str, Smallest]) -> tuple[Line, ...]:
@@ -47,21 +42,6 @@ def _smallest(line: Line, least: Mapping[str, Smallest]) -> Line:
     status = Status.PASS if distance >= 0 else Status.FAIL
     when = None if line.when is None else found.when
     return replace(line, found=found.value, distance=distance, status=status, where=found.where, when=when)
-
-
-def _own_words(line: Line, loop: ClosedLoop | None) -> Line:
-    """The unit of the joint instead of that of any joint, and the lag behind a moving reference under its own name."""
-    if loop is None:
-        return line
-    units = dict(zip(loop.robot.joint_names, loop.robot.joint_units, strict=True))
-    unit = units.get(line.where, "rad" if set(units.values()) == {"rad"} else "m" if set(units.values()) == {"m"} else "")
-    if line.name == "residual" and not loop.ref.is_hold:
-        line = replace(line, label="lag behind the moving reference")
-    if not unit:
-        return line
-    which = r"\1" if unit == "rad" else r"\2"
-    said, note = (re.sub(r"(rad\S*) or (m[^\s);,]*)", which, text) for text in (line.unit, line.note))
-    return replace(line, unit=said, note=note)
 
 
 def _placed(line: Line, point: str, least: Mapping[str, Smallest]) -> Line:

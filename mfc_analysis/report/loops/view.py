@@ -96,7 +96,7 @@ class View:
     def checks(self) -> tuple[Line, ...]:
         """The lines of the verdict, in the units shown to the reader, with their analysis point if the loop has several."""
         many = len(self.every_margin) > 1
-        return checks(self.verdict.lines, self.point if many else "", self.smallest, self.loop)
+        return checks(self.verdict.lines, self.point if many else "", self.smallest)
 
     @cached_property
     def stable(self) -> bool:
