@@ -53,9 +53,6 @@ def load_types(app: Sphinx) -> None:
         waiting = late
 
 
-ENTRY = re.compile(r"([\w*]+(?:, [\w*]+)*): (.*)")
-
-
 def one_each(lines: list[str], names: set[str]) -> list[str]:
     """``Args`` with an entry for each parameter: ``kp: [1/s^2], kd: [1/s]`` and ``a, b: [s]`` are two each."""
     out: list[str] = []
@@ -67,11 +64,11 @@ def one_each(lines: list[str], names: set[str]) -> list[str]:
             depth = len(line) - len(line.lstrip())
             indent = indent or depth
             inside = depth >= indent
-            if inside and depth == indent and ENTRY.match(line.strip()):
-                starts = "|".join(map(re.escape, sorted(names)))
-                found = [ENTRY.match(part) for part in re.split(rf"[,;.] (?=(?:{starts})(?:, (?:{starts}))*: )", line.strip())]
-                each = [(name, part[2]) for part in found if part for name in part[1].split(", ")]
-                out += [f"{' ' * indent}{name}: {text}" for name, text in each]
+            starts = "|".join(map(re.escape, sorted(names)))
+            entries = list(re.finditer(rf"(?:^|[,;.] )((?:{starts})(?:, (?:{starts}))*): ", line.strip()))
+            if inside and depth == indent and entries and entries[0].start() == 0:
+                texts = [line.strip()[one.end() : after] for one, after in zip(entries, [one.start() for one in entries[1:]] + [None], strict=True)]
+                out += [f"{' ' * indent}{name}: {text}" for one, text in zip(entries, texts, strict=True) for name in one[1].split(", ")]
                 continue
         out.append(line)
     return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import inspect
 import re
 from pathlib import Path
@@ -68,3 +68,14 @@ def test_the_index_lists_every_page_once() -> None:
     index = (DOCS / "reference" / "index.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| \[.*?\]\((\S+)\.md\) \| \S.* \|$", index, re.MULTILINE)
     assert sorted(rows) == sorted(page.stem for page in PAGES)
+
+
+def test_each_parameter_of_a_docstring_has_an_entry_of_its_own() -> None:
+    pytest.importorskip("sphinx")
+    spec = importlib.util.spec_from_file_location("docs_names", DOCS / "names.py")
+    assert spec is not None and spec.loader is not None
+    names = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(names)
+    text = ["Args:", "    kp: [1/s^2], ki: [1/s^3]; scalar. q, v: at rest: 0.", "        More.", "    a, b, c: one, or b itself."]
+    entries = ["    kp: [1/s^2]", "    ki: [1/s^3]; scalar", "    q: at rest: 0.", "    v: at rest: 0.", "        More."]
+    assert names.one_each(text, {"kp", "ki", "q", "v", "a", "b", "c"}) == ["Args:", *entries, *(f"    {x}: one, or b itself." for x in "abc")]
