@@ -144,3 +144,19 @@ def test_every_picture_of_a_page_is_drawn_by_one_of_its_blocks(checker: ModuleTy
     shown = re.findall(r"\]\(pictures/(\S+\.png)\)", page.read_text(encoding="utf-8"))
     drawn = [name for block in Document.parse(str(page), checker.blocks) for name in re.findall(r"#.*\bpicture: (\S+)", block.parsed)]
     assert shown and shown == drawn
+
+
+@pytest.fixture(scope="module")
+def names() -> ModuleType:
+    pytest.importorskip("sphinx")
+    spec = importlib.util.spec_from_file_location("docs_names", ROOT / "docs" / "names.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_an_absolute_value_in_a_docstring_is_no_substitution_and_equations_stay(names: ModuleType) -> None:
+    lines = ["|s| < 1 and :math:`|L|` and ``|x|``", "", ".. math:: |T|", "", "|e|"]
+    names.prepare(None, "module", "", None, None, lines)
+    assert lines == [r"\|s\| < 1 and :math:`|L|` and ``|x|``", "", ".. math:: |T|", "", r"\|e\|"]
