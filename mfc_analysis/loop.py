@@ -181,10 +181,11 @@ class ClosedLoop:
 
         Args:
             times: (m,) strictly increasing.
-            about: "reference" (integral trimmed), "equilibrium" (near a Hold), "simulation" (along ``simulation``), or states of your
+            about: "reference" (integral trimmed), "equilibrium" (near a Hold), "simulation", or states of your
                 own (m, nx) in the order of ``state_names`` of coordinates "state", one row for each time.
             coordinates: "state" (q, v, z, ...) or "error" (X_e, V_e, z, ...); None: "error" for tool laws where J (with axes: S J) is square
                 and well conditioned, else "state".
+            simulation: the run that is followed with ``about="simulation"``.
             horizon: [s] of the verdict: roots with |s| < 1/horizon are slow and judged by what they do within it; inf: by their sign.
 
         Raises BadArgument, NearSingular (names time, frame, smallest singular value), NotConverged.
@@ -273,6 +274,7 @@ class ClosedLoop:
         of a joint error of ``size``.
 
         Args:
+            time: [s] of the runs. size: [rad, m] of the disturbance.
             seed: of the random starts of the search, an integer >= 0; the radius depends on it by a few percent at most.
 
         Raises BadArgument.

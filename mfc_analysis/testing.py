@@ -96,7 +96,8 @@ def assert_margins(
     """Asserts margins (and any other field of ``Requirements``) at all times (m,) [s] and channels of the analysis point.
 
     Args:
-        at: analysis point; None: the plant input. asked: fields of ``Requirements``, such as ``phase_deg=45, gain_increase_db=6``;
+        loop: to be tested. times: (m,) [s]. at: analysis point; None: the plant input.
+        asked: fields of ``Requirements``, such as ``phase_deg=45, gain_increase_db=6``;
             ``horizon`` [s] is one of them.
         step: of ``settling_time`` and ``overshoot``, "reference" or "loop" (T = L/(1 + L) at the analysis point), as in ``Requirements``.
         allow_drift, allow_residual: pass if the loop drifts, or does not stay at its operating points. A drifting loop, which has no
@@ -133,7 +134,8 @@ def assert_validated(loop: ClosedLoop, time: float = 1.0, *, nrmse: float = 0.05
     """Asserts that the linear model predicts the nonlinear loop over ``time`` [s], from an operating point disturbed by ``size`` [rad, m].
 
     Args:
-        nrmse: largest misfit, a fraction. order: of the Taylor remainder, with a tolerance of 0.05 (inf for a linear loop, which has none).
+        loop: to be tested. time: [s] of the runs. size: [rad, m] of the disturbance. nrmse: largest misfit, a fraction.
+        order: of the Taylor remainder, with a tolerance of 0.05 (inf for a linear loop, which has none).
         seed: of the search for the worst disturbance, as in ``ClosedLoop.validate``.
 
     Raises AssertionError, and BadArgument for bad values.

@@ -138,7 +138,8 @@ def attribute(
     """What each imperfection of a loop costs in each metric that is required (without any: phase, gain and delay margin, sensitivity peak).
 
     Args:
-        requirements: whose metrics count. times: (m,) [s]. at: analysis point; None: the plant input. progress: a bar on the terminal.
+        loop: as given. requirements: whose metrics count. times: (m,) [s]. at: analysis point; None: the plant input.
+        progress: a bar on the terminal.
 
     Raises BadArgument, UnknownPoint for ``at``.
     """

@@ -95,6 +95,7 @@ def max_delay(
     dead time is one of the values of the scan, so that the limit of a single joint is that of ``margins``.
 
     Args:
+        loop: as given. upper: [s] end of the search.
         requirements, at: the limit is where these are just met, at this analysis point; None: the edge of stability.
         times: (m,) [s] at which the loop is judged; None: 0 of a Hold, else 21 over the reference. horizon: [s] of the stability verdict.
         progress: a bar on the terminal. n_jobs: processes that judge the values ahead, as in ``sweep``; -1: one on each core. The result is the same.
@@ -213,7 +214,7 @@ def max_bandwidth(
 
     Args:
         make_loop: bandwidth [rad/s] -> the loop, or several (payloads, surfaces) that must all meet the requirements.
-        times, at: as for ``Requirements.check``. lower, upper: [rad/s] ends of the search.
+        requirements: to be met. times, at: as for ``Requirements.check``. lower, upper: [rad/s] ends of the search.
         nominal: [rad/s] where the search starts, upwards if the requirements are met there; None: ``lower``.
 
     Other arguments as ``max_delay``. WATCH counts as met. Bandwidths from the start on that miss the requirements (too slow, for example) are

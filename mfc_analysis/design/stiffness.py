@@ -85,8 +85,9 @@ def over_stiffness(loop: ClosedLoop, stiffness: ArrayLike, time: float = 0.0, *,
     """The loop at k stiffnesses of every surface that has a preload; surfaces without one do not change.
 
     Args:
-        loop: a torque loop in contact. stiffness: (k,) [N/m, Nm/rad] > 0, to which those surfaces are scaled. time: [s] on the
-            reference; this operating point and its force are kept. horizon: [s] of the verdict: roots with abs(s) < 1/horizon are slow.
+        loop: a torque loop in contact. stiffness: (k,) [N/m, Nm/rad] > 0, to which those surfaces are scaled.
+        time: [s] on the reference; this operating point and its force are kept.
+        horizon: [s] of the verdict: roots with abs(s) < 1/horizon are slow.
 
     Raises:
         BadArgument: no surface with a preload, stiffnesses that are not positive, a horizon below 1e-6 s or two sample times.

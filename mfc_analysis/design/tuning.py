@@ -96,7 +96,7 @@ def tune(
     Args:
         make_loop: ``make_loop(**gains, **case)`` -> loop, such as one that takes ``bandwidth``, ``damping`` and ``payload``.
         gains: name -> (low, high), 0 < low < high: keywords of ``make_loop``, such as "bandwidth" and "damping" of a helper, or gains of a law.
-        times: (m,) [s]. at: analysis point; None: the plant input. progress: a bar on the terminal.
+        requirements: to be met. times: (m,) [s]. at: analysis point; None: the plant input. progress: a bar on the terminal.
         ranges: name -> values (two: the ends of a range). Every combination counts.
         wanted: [rad/s] of ``bandwidth``: the nearest to it that meets the requirements, with the largest distance to them; None: the fastest.
         start: of the other gains; omitted: 1 for ``damping``, as the helpers have it, and the middle of the others.

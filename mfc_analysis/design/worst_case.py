@@ -95,7 +95,7 @@ def worst_case(
         times: (m,) [s] of the path. at: analysis point. horizon: [s] of the verdict.
         step: of a settling time or an overshoot, as in ``Requirements``.
         metric: a field of ``Requirements``, or a function loop -> number where smaller is worse. NaN counts as worst.
-        n_jobs: processes, as in ``limits``; the result is the same.
+        points: of the grid of each range. n_jobs: processes, as in ``sweep``; the result is the same.
 
     A range with ends a factor of 100 or more apart is spaced logarithmically. A case that cannot be built is recorded in ``failed``.
     Raises BadArgument, UnknownName; where no case can be analysed the last error is raised.

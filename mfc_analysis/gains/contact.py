@@ -50,7 +50,7 @@ def cartesian_damping(robot: Robot, q: ArrayLike, stiffness: ArrayLike, ratio: A
     so that Lambda x'' + D x' + K x = 0 decouples into six modes, each with damping ratio ``ratio``.
 
     Args:
-        q: (n,) pose.
+        robot: its mass matrix counts. q: (n,) pose.
         stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, N m/rad], tool frame (linear, angular).
         ratio: >= 0, scalar or (6,) in the order of increasing modal frequency.
 
@@ -69,7 +69,8 @@ def impedance(robot: Robot, q: ArrayLike, stiffness: ArrayLike, ratio: ArrayLike
     .. math:: \Lambda(q) = Q Q^T, \quad K = Q \,\mathrm{diag}(w^2)\, Q^T, \quad D = 2 Q \,\mathrm{diag}(\zeta w)\, Q^T
 
     Args:
-        q: (n,) pose. stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, N m/rad], tool frame (linear, angular).
+        robot: its mass matrix counts. q: (n,) pose.
+        stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, N m/rad], tool frame (linear, angular).
         ratio: damping ratio >= 0 of the six modes, scalar or (6,) in the order of increasing modal frequency.
 
     Returns gains that unpack into ``Impedance(**gains)``: stiffness and damping, (6, 6). A note says what the damping ratios are out of contact, by

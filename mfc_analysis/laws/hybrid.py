@@ -31,7 +31,8 @@ class HybridMotionForce(ToolLaw):
     ``kdamp`` adds damping. X_e is not projected first: an error along a constrained axis leaks into the motion.
 
     Args:
-        F_d: (6,) [N, Nm] tool frame. kp [1/s^2], ki [1/s^3], kd [1/s], kfp [-], kfi [1/s], kdamp [Ns/m, Nms/rad]: scalar, (6,) or (6, 6).
+        F_d: (6,) [N, Nm] tool frame.
+        kp: [1/s^2], ki: [1/s^3], kd: [1/s], kfp: [-], kfi: [1/s], kdamp: [Ns/m, Nms/rad]; each a scalar, (6,) or (6, 6).
         constraints: (k, 6) rows A with A V_b = 0, constant in the tool frame, or a ``ConstraintSet``.
         projection: "dynamic": P = 1 - A^T (A Lambda^-1 A^T)^-1 A Lambda^-1; "selection": 1 - A^T A, orthonormal rows only.
         form: "standard"; "printed": eta inside (1 - P), V_d' and X_e' as on the page; "printed_eta": only eta misplaced.

@@ -89,11 +89,10 @@ class ComputedTorque(JointLaw):
 
     .. math:: \tau = \hat M(q)\,(a_d + K_p e + K_i z + K_d \dot e) + \hat h
 
-    ``form="standard"``: h^ at the measured (q, v); with an exact model the error obeys e''' + kd e'' + kp e' + ki e = 0.
-    ``form="printed"``: h^ at (q_d, v_d), as the page says; dh/dq and dh/dv stay in the loop.
-
     Args:
         kp: [1/s^2], ki: [1/s^3], kd: [1/s]; scalar, (n,) or (n, n).
+        form: "standard": h^ at the measured (q, v); with an exact model the error obeys e''' + kd e'' + kp e' + ki e = 0.
+            "printed": h^ at (q_d, v_d), as the page says; dh/dq and dh/dv stay in the loop.
         mass: a constant (n, n) matrix [kg m^2] instead of M^(q): the decentralised case when it is diagonal.
         anti_windup: T [s]. Where a torque limit of the hardware cuts the torque, the integral is taken back by back-calculation:
             z' = e + Ki^-1 M^^-1 lost / T, lost = sat(tau) - tau. None: the integral winds up. Without saturation it does nothing, and so it does

@@ -51,12 +51,11 @@ class TaskComputedTorque(ToolLaw):
         + N^T(\hat h - c\,\hat M v), \quad N = 1 - \bar J J, \quad \bar J = \hat M^{-1} J^T \hat\Lambda
 
     The last term is 0 for a square J. On a redundant arm, and with ``axes`` on an arm of more joints than selected directions (J is then S J),
-    it is what the page leaves open: the self-motion N v. Its bias is compensated, so that
-    all of h^ is, and it is damped by c = ``null_damping``. ``form="printed"``: V_d' and X_e' as printed; on a moving path they differ at first
-    (X_e') and second order.
+    it is what the page leaves open: the self-motion N v. Its bias is compensated, so that all of h^ is, and it is damped by c = ``null_damping``.
 
     Args:
         kp: [1/s^2], ki: [1/s^3], kd: [1/s]; scalar, (6,) or (6, 6) on (linear, angular) in the tool frame; (k,) or (k, k) on k selected directions.
+        form: "standard"; "printed": V_d' and X_e' as on the page, which on a moving path differ at first (X_e') and second order.
         mass: a constant (n, n) joint mass matrix [kg m^2] as M^ instead of M^(q).
         null_damping: c >= 0 [1/s] on joint motion that does not move the tool (redundant arms). With an exact model that motion
             decays as exp(-c t) at rest; 0: it has no damping and drifts.

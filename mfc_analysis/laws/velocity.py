@@ -59,10 +59,11 @@ class VelocityP(_JointVelocity):
 class VelocityPI(_JointVelocity):
     r"""Proportional-integral velocity feedback: equation 9.3, :math:`u = K_p e + K_i \int e`.
 
-    ``form="printed"``: the page prints the integral without Ki (as if it were the identity).
+    The page prints the integral without Ki (as if it were the identity).
 
     Args:
         kp: [1/s], ki: [1/s^2]; scalar, (n,) or (n, n).
+        form: "standard", or "printed" as on the page.
 
     Closed forms: s^2 + kp s + ki; critical damping at ki = kp^2/4; error 0 on a ramp, a/ki on a parabola.
     """

@@ -27,7 +27,7 @@ def poles(
     """Poles in the complex plane.
 
     Args:
-        values: (nx,) complex [1/s], or in z if ``discrete``: then on linear axes with the unit circle.
+        values: (nx,) complex [1/s], or in z. discrete: they are in z, and drawn on linear axes with the unit circle.
         damping: a required damping ratio, drawn as a dashed ray; default: rays of 0.3 and 0.7. path: (m, nx) the poles at other times, in grey.
         note: what the grey points are. index: the joint, for its colour. title: of the figure. ax: to draw in; None: a new sheet.
     """

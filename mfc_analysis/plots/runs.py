@@ -44,8 +44,9 @@ def traces(
     """One to four stacked panels over time.
 
     Args:
-        t: (m,) [s]. names: one for each column. events: (time [s], word), drawn as vertical lines. said: names of the solid and the dashed lines.
-        first: the joint of the first column, for its colour. title: of the figure. axes: to draw in; None: a new sheet.
+        t: (m,) [s]. panels: from the top. names: one for each column. events: (time [s], word), drawn as vertical lines.
+        said: names of the solid and the dashed lines. first: the joint of the first column, for its colour.
+        title: of the figure. axes: to draw in; None: a new sheet.
 
     Raises:
         BadArgument: no panel, or more than four.

@@ -32,7 +32,8 @@ def step(
 
     Args:
         t: (m,) [s], y: (m,) of the linear model. nonlinear: (t, y) of the simulated run. torque: (t, tau) [Nm], of the
-            nonlinear run, if given; ``torque_limit`` [Nm] is drawn with both signs.
+            nonlinear run, if given.
+        torque_limit: [Nm], drawn with both signs.
         target: the final value; band: half width of the settling band, in the unit of y. quantity, drive: names and units of y and of the torque.
         index: the joint, for its colour. title: of the figure. axes: to draw in; None: a new sheet.
     """

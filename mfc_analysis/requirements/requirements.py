@@ -187,7 +187,7 @@ class Requirements:
         """The verdict over one loop.
 
         Args:
-            times: (m,) [s] of the linearisation about the reference; the nonlinear run goes from the first to the last.
+            loop: to be checked. times: (m,) [s] of the linearisation about the reference; the nonlinear run goes from the first to the last.
             at: analysis point of the margins and loop steps; None: the plant input.
 
         Raises BadArgument (not a loop, times), UnknownPoint for ``at``, NearSingular; Unsupported for loop steps at "position" through dead

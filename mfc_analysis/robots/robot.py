@@ -231,7 +231,7 @@ class Robot:
         """The robot with a body fixed to its tool; payloads add up.
 
         Args:
-            mass: [kg] >= 0.  com: (3,) [m] in the tool frame.  inertia: scalar or (3, 3) [kg m^2] about the com, in tool axes.
+            mass: [kg] >= 0. com: (3,) [m] in the tool frame. inertia: scalar or (3, 3) [kg m^2] about the com, in tool axes.
         """
         mass = checks.number("mass", mass, low=0.0)
         com = checks.array("com", com, (3,))

@@ -105,6 +105,7 @@ def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, ti
 
     Args:
         robot: any arm; with fewer than six joints the path must be feasible, or ``axes`` say which part of it is followed.
+        tool_ref: a tool reference.
         q_start: (n,) [rad or m] near the solution at ``times[0]``. times: (m,) [s], m >= 2, increasing.
         axes: directions of the tool that follow the path, "xyz", "xyzrz", or (k, 6) orthonormal rows, as those of a tool law; None: all six.
 
@@ -131,7 +132,8 @@ def follow(
     That of the same path, arm (whatever its loads), start and times is computed once.
 
     Args:
-        robot: any arm. q_start: (n,) [rad or m] near the solution at t = 0, or at ``times[0]`` if that is earlier; followed from there.
+        robot: any arm. tool_ref: a tool reference.
+        q_start: (n,) [rad or m] near the solution at t = 0, or at ``times[0]`` if that is earlier; followed from there.
         times: (m,) [s], increasing.
         damping: [-] of the inverse of J, v = J^T (J J^T + damping^2)^-1 V; above 0 no error is raised near a singularity.
         selection: the directions that are followed; None: all six.

@@ -141,7 +141,7 @@ class Sinusoid(JointReference):
     """q = center + amplitude sin(frequency t + phase).
 
     Args:
-        center: (n,) [rad or m]. amplitude, frequency [rad/s] >= 0, phase [rad]: scalars or (n,).
+        center: (n,) [rad or m]. amplitude: [rad or m], scalar or (n,). frequency: [rad/s] >= 0, scalar or (n,). phase: [rad], scalar or (n,).
     """
 
     center: ArrayLike

@@ -43,7 +43,7 @@ def write(
 
     Args:
         loop: a ``ClosedLoop``, a list of them, or a mapping from names to them.
-        times: (m,) [s] of the linearisations; or a mapping by the names of the loops.
+        folder: created if necessary. times: (m,) [s] of the linearisations; or a mapping by the names of the loops.
         formats: some of "html", "pdf", "json".
         requirements: of all loops, or of each by name; omitted: stability only.
         at: analysis point of the margins, of all loops or of each by name; omitted: the plant input.
