@@ -174,7 +174,7 @@ def test_the_extras_of_the_metadata_are_those_that_the_errors_name() -> None:
     for extra, (_, libraries) in errors.EXTRAS.items():
         assert listed(extra) - {"mfc-analysis"} == set(libraries)
     assert PROJECT["optional-dependencies"]["all"] == [own(*errors.EXTRAS)]
-    assert own("all", "robots") in PROJECT["optional-dependencies"]["test"] and own("all", "robots") in PROJECT["optional-dependencies"]["docs"]
+    assert own("all", "robots") in PROJECT["optional-dependencies"]["test"] and own("test") in PROJECT["optional-dependencies"]["docs"]
 
 
 def test_a_report_of_a_study_can_be_written_with_the_extra_of_reports() -> None:
