@@ -17,13 +17,18 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "reports" /
 SOURCES = sorted(path for folder in ("mfc_analysis", "docs", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
 
 
-@pytest.fixture(scope="module")
-def checker() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("docs_checker", ROOT / "docs" / "conftest.py")
+def of_docs(name: str) -> ModuleType:
+    """A module of the build of the guide."""
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def checker() -> ModuleType:
+    return of_docs("conftest")
 
 
 def wrong(checker: ModuleType, path: Path, text: str) -> str | None:
@@ -146,17 +151,16 @@ def test_every_picture_of_a_page_is_drawn_by_one_of_its_blocks(checker: ModuleTy
     assert shown and shown == drawn
 
 
-@pytest.fixture(scope="module")
-def names() -> ModuleType:
+def test_the_picture_of_the_house_has_every_room_above_those_that_it_imports() -> None:
+    house = of_docs("house")
+    below, _ = house.table()
+    place = {name: float(y) for y, name in re.findall(r'class="room" x="\S+" y="(\S+)">(\w+)<', house.svg())}
+    assert place.keys() == below.keys()
+    assert all(place[room] < place[b] for room, under in below.items() for b in under)
+
+
+def test_an_absolute_value_in_a_docstring_is_no_substitution_and_equations_stay() -> None:
     pytest.importorskip("sphinx")
-    spec = importlib.util.spec_from_file_location("docs_names", ROOT / "docs" / "names.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_an_absolute_value_in_a_docstring_is_no_substitution_and_equations_stay(names: ModuleType) -> None:
     lines = ["|s| < 1 and :math:`|L|` and ``|x|``", "", ".. math:: |T|", "", "|e|"]
-    names.prepare(None, "module", "", None, None, lines)
+    of_docs("names").prepare(None, "module", "", None, None, lines)
     assert lines == [r"\|s\| < 1 and :math:`|L|` and ``|x|``", "", ".. math:: |T|", "", r"\|e\|"]
