@@ -159,14 +159,15 @@ def impact(
     measure = partial(_measured, surface=surface, axis=axis, times=times, max_evaluations=max_evaluations)
     done = evaluated(case, {"stiffness": k.tolist(), "speed": v.tolist()}, measure, n_jobs, progress, "impact")
     shape, failed = (k.size, v.size), {}
-    found = {name: np.full(shape, np.nan) for name in ("peak", "bounces", "settling", "last", "scale")}
+    found: dict[str, Array] = {name: np.full(shape, np.nan) for name in ("peak", "bounces", "settling", "last", "scale")}
     found["force"] = np.full((*shape, times.size), np.nan)
     for where, (run, error) in zip(np.ndindex(shape), done, strict=True):
         if run is not None:
             for name, values in found.items():
                 values[where] = run[name]
-        if error or str(run["message"]):
-            failed[where] = error or str(run["message"])
+            error = str(run["message"])
+        if error:
+            failed[where] = error
     along = found["scale"][:, 0] if not np.isnan(found["scale"][:, 0]).any() else k
     bounces = np.nan_to_num(found["bounces"], nan=-1).astype(np.int64)
     return Impact(along, v, found["peak"], bounces, found["settling"], found["last"], times, found["force"], failed)

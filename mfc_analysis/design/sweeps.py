@@ -73,7 +73,8 @@ def evaluated(
     parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator" if streams else "list")
     done: list[Point] = []
     with _bar(progress, len(points), title) as advance:
-        for point in parallel(joblib.delayed(one_point)(build, measure, p) for p in points):  # pyright: ignore[reportArgumentType, reportAssignmentType]
+        found: Iterator[Point] = iter(parallel(joblib.delayed(one_point)(build, measure, p) for p in points))  # pyright: ignore[reportArgumentType, reportAssignmentType]
+        for point in found:
             advance()
             done.append(point)
     failed = [i for i, p in enumerate(done) if p.error]
