@@ -10,6 +10,7 @@ roots. The search continues to higher frequencies until no further crossing can 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinne
 from mfc_analysis.analysis.margin_metrics import FARTHEST, MarginMetrics, also_late, assembled, put
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.maths.arrays import Array, Bools, Complex, Ints, on_axis
+
+Values = TypeVar("Values", Array, Ints)
 
 MOST = 40_000  #: frequencies at one point
 CHUNK = 1_000_000  #: complex numbers at a time
@@ -179,10 +182,14 @@ def _crossings(point: Sensitivities, some: Ints, w: Array, H: Complex) -> tuple[
         a, fa = try_, f
         going = ~((np.abs(f) <= 1e-13 * np.minimum(np.abs(h), np.abs(1 + h))) | (np.abs(b - a) <= 2 * NARROW * np.abs(a)))
         xs, fs = np.column_stack([xs, try_]), np.column_stack([fs, f])
-        todo, (a, b, c, fa, fb, fc, xs, fs) = todo[going], (each[going] for each in (a, b, c, fa, fb, fc, xs, fs))
+        todo, (a, b, c, fa, fb, fc, xs, fs) = todo[going], _some(going, a, b, c, fa, fb, fc, xs, fs)
         part = _next(a, b, c, fa, fb, fc)
     every = Crossings(owner, channel, x, hx)
     return every[gain], every[~gain]
+
+
+def _some(which: Bools, *values: Values) -> list[Values]:
+    return [each[which] for each in values]
 
 
 def _inverse(x: Array, f: Array) -> Array:
@@ -237,7 +244,7 @@ def _peaks(point: Sensitivities, some: Ints, w: Array, H: Complex, peak: Array, 
         lower = np.maximum(height[each, k], np.abs(1 + expected)) + 10 * off < highest[owner[todo], channel[todo]]
         going = ~(lower | (off <= SAME * np.abs(1 + there)) | (b - a <= 1e-8 * b))
         left, right = np.maximum(k - 1, 0), np.minimum(k + 1, NODES.size)
-        todo, each, left, right = (ints[going] for ints in (todo, each, left, right))
+        todo, each, left, right = _some(going, todo, each, left, right)
         a, b, Ha, Hb = x[each, left], x[each, right], known[each, left], known[each, right]
     order = np.argsort(best, kind="stable")  # of several values the last one written, the highest, stays
     order = order[best[order] > peak[some[row[order]], channel[order]]]
@@ -287,14 +294,14 @@ def _brackets(w: Array, size: Array, highest: Array) -> tuple[Ints, Ints, Ints, 
     owner, k, top = owner[may], k[may], (f + rise)[may]
     order = np.lexsort((-top, owner))
     owner, k = owner[order], k[order]
-    parts = []
+    parts: list[tuple[Ints, ...]] = []
     for _ in range(CLIMBED):
         if not owner.size:
             break
         first = np.concatenate([[True], np.diff(owner) > 0])
         mine, top = owner[first], k[first]
         fallen = size[mine, top] * (1 - FLAT)
-        ends = []
+        ends: list[Ints] = []
         for step, edge in ((-1, 0), (1, last)):
             end = top + step
             climbing = np.flatnonzero((end != edge) & (size[mine, end] >= fallen))
@@ -305,7 +312,7 @@ def _brackets(w: Array, size: Array, highest: Array) -> tuple[Ints, Ints, Ints, 
         parts.append((mine, *ends))
         group = np.cumsum(first) - 1
         outside = (k <= ends[0][group]) | (k >= ends[1][group])
-        owner, k = owner[outside], k[outside]
+        owner, k = _some(outside, owner, k)
     mine, low, high = (np.concatenate([part[i] for part in parts]) if parts else np.zeros(0, np.int64) for i in range(3))
     return mine // n, mine % n, low, high
 
