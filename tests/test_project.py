@@ -136,9 +136,9 @@ def test_the_workflow_may_only_read_and_ends_in_time() -> None:
 
 def test_contributors_are_told_the_commands_of_ci() -> None:
     guide = read("CONTRIBUTING.md")
-    checks = re.findall(r"^\.venv/bin/(?!python -m (?:pip|build) |twine )\S.*$", read(".ci/run"), re.MULTILINE)
+    checks = re.findall(r"^\.venv/bin/(?!python -m (?:pip|build) |twine )[^>\n]*[^>\s]", read(".ci/run"), re.MULTILINE)
     tests = re.findall(r"\.venv/bin/python -m pytest.*$", read("README.md"), re.MULTILINE)
-    assert len(checks) >= 5 and len(tests) == 1  # install, lint, format, types, docs
+    assert len(checks) >= 4 and len(tests) == 1  # install, lint, format, docs; the tests check the types
     for command in [*(check.replace("pip install -q", "pip install") for check in checks), *tests]:
         assert command in guide
 
