@@ -42,6 +42,12 @@ def test_every_link_within_the_guide_leads_to_a_file_and_to_an_anchor_that_are_t
     assert len(PAGES) > 20 and sorted(lost) == []
 
 
+@pytest.mark.parametrize("page", sorted((SITE / "notebooks").glob("*.html")), ids=lambda path: path.stem)
+def test_a_notebook_shows_its_pictures_and_its_results(page: Path) -> None:
+    shown = page.read_text(encoding="utf-8").split("<article", 1)[1]
+    assert len(re.findall(r'<img[^>]* src="\.\./_images/', shown)) >= 2 and 'class="output' in shown and "Traceback" not in shown
+
+
 def test_no_page_loads_anything_from_the_network() -> None:
     loads = re.compile(
         r'<(?:script|img|iframe|source)\b[^>]*\bsrc="(?:https?:)?//|<link\b[^>]*\brel="(?:stylesheet|preload|icon)"[^>]*href="(?:https?:)?//'
