@@ -91,8 +91,8 @@ def max_delay(
 ) -> Limit:  # fmt: skip
     """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the given one) with which the loop is stable.
 
-    inf if stable up to ``upper`` [s], 1e-9 to 1e9; 0 if it is not stable without dead time. The smallest delay margin of the loop without
-    dead time is one of the values of the scan, so that the limit of a single joint is that of ``margins``.
+    inf if stable up to ``upper`` [s], 1e-9 to 1e9; 0 if it is not stable without dead time. The scan looks on both sides of
+    the smallest delay margin of the loop without dead time, which is the limit of a single joint.
 
     Args:
         loop: as given. upper: [s] end of the search.
@@ -116,7 +116,7 @@ def max_delay(
         return requirement_limit(later, "delay", hardware.delay or 0.0, judge, upper=upper, progress=progress, n_jobs=n_jobs)
     alone = linearize(later(0.0).equations, t, horizon=horizon).margins().delay
     first = alone[(alone > 0) & (alone < upper)]
-    values = np.union1d(scan(1e-6 * upper, upper), first.min(keepdims=True) * (1 + CLOSE) if first.size else first)
+    values = np.union1d(scan(1e-6 * upper, upper), first.min() * (1 + 0.4 * CLOSE * np.array([-1, 1])) if first.size else first)
     return _limit(later, np.concatenate([[0.0], values]), t, horizon, "largest stable dead time", "s", progress, n_jobs)
 
 

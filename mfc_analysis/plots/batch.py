@@ -23,7 +23,6 @@ from subprocess import PIPE, Popen
 from typing import Any, TypeVar
 
 from mfc_analysis.maths.threads import THREADS
-from mfc_analysis.plots import figure as sheet
 
 Made = TypeVar("Made")
 
@@ -40,6 +39,8 @@ def drawn(recipes: Sequence[Any], *, progress: Callable[[int], None] | None = No
 
     ``progress`` is called with the number of figures finished since the last call.
     """
+    from mfc_analysis.plots import figure as sheet
+
     shares = [recipes[k : k + SHARE] for k in range(0, len(recipes), SHARE)]
     out: list[list[str]] = []
 
@@ -56,7 +57,13 @@ def drawn(recipes: Sequence[Any], *, progress: Callable[[int], None] | None = No
 
 @contextmanager
 def second_process() -> Iterator[None]:
-    """One second process for all that is done ``in_two_processes`` within, started at once: it loads its modules while this one loads its own."""
+    """One second process for all that is done ``in_two_processes`` within, started at once: it loads its modules while this one loads its own.
+
+    Within another ``second_process`` it is the same.
+    """
+    if _shared.get() is not None:
+        yield
+        return
     process = _second()
     token = _shared.set(process)
     try:

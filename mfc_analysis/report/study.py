@@ -195,7 +195,10 @@ def tuned_section(name: str, found: Tuned, *, many: bool) -> Section:
 
 def chapter(out: str | os.PathLike[str], formats: Sequence[str], progress: Progress, *, full: bool = False) -> tuple[Path, ...]:
     """Writes the report of the whole chapter into ``out``; ``full``: a page for each arm and misprint, and all pictures."""
-    from mfc_analysis.report.chapter.chapter import write_chapter
+    from mfc_analysis.plots.batch import second_process
 
-    files = write_chapter(out, formats or ("html", "pdf", "json"), lambda some, of: progress("the chapter", some, of), full=full)
+    with second_process():
+        from mfc_analysis.report.chapter.chapter import write_chapter
+
+        files = write_chapter(out, formats or ("html", "pdf", "json"), lambda some, of: progress("the chapter", some, of), full=full)
     return tuple(files.values())

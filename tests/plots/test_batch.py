@@ -140,6 +140,8 @@ def test_one_second_process_does_its_share_of_all_that_is_done_within():
     with second_process():
         numbers = [set(in_two_processes(tasks)) - {os.getpid()} for tasks in ([where] * 30, [partial(where, 0.05)] * 10, [partial(where, 0.05)] * 10)]
         assert len(numbers[0]) == 1 and numbers[1:] == numbers[:1] * 2
+        with second_process():
+            assert set(in_two_processes([partial(where, 0.05)] * 10)) - {os.getpid()} == numbers[0]
         assert not gone(*numbers[0])
     assert gone(*numbers[0])
 

@@ -144,7 +144,7 @@ def single(w: float, delay: float | None = None) -> ClosedLoop:
 
 def delay_section(full: bool = True) -> Section:
     """Largest product of dead time and bandwidth for computed torque on one joint."""
-    w, T, at = np.geomspace(2, 50, 11 if full else 6), np.geomspace(2e-3, 0.5, 15), 10.0
+    w, T, at = np.geomspace(2, 50, 11 if full else 6), np.geomspace(2e-3, 0.5, 15 if full else 9), 10.0
     found: DelayMap = delay_map(single, T, w)
     limit = float(design.max_delay(single(at)))
     speeds = (at, 40.0) if full else (at,)
