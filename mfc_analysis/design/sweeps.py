@@ -63,7 +63,7 @@ def sweep(
 def evaluated(
     build: Callable[..., Any], axes: Mapping[str, Sequence[Any]], measure: Callable[[Any], Any], n_jobs: int | None, progress: bool, title: str
 ) -> list[Point]:
-    """The points of ``sweep``, the last axis first, with its warning of those that fail. Raises BadArgument."""
+    """The results of ``sweep`` at all points, the last axis varying fastest, with its warning of those that fail. Raises BadArgument."""
     import joblib
     from joblib.parallel import get_active_backend
 
