@@ -15,10 +15,10 @@ import numpy as np
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.errors import MfcError
-from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.dual import value
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
-from mfc_analysis.simulation.response import STEPS as STEPS_ALONG, response
+from mfc_analysis.simulation.response import STEPS as STEPS_ALONG, Follower
 from mfc_analysis.simulation.simulation import Simulation
 
 STEPS, SAMPLES = 100, 25  #: steps of the second-order response, and at how many of them it is compared
@@ -30,12 +30,15 @@ LARGEST = 3.0  #: [rad, m] largest disturbance tried
 CLIMBED, CLIMBERS = 6, 6  #: maxima of the second order from which the search on the nonlinear response starts, and directions that climb
 PATTERN = (0.7, 0.7, 0.4, 0.4, 0.2, 0.1)  #: changes of the entries in its steps
 TOGETHER = (1, 2, 4, 8)  #: numbers of entries changed together, beside all that gain
-FOLLOWED = 0.75  #: of the starts: those whose response the steps can follow
+PROBED = 4  #: starts by which the number of steps is chosen
 WORST = 1.0  #: misfit from which on directions count as equally bad
 NOTHING = 1e-9  #: misfit for each unit of size that is rounding
 FAR = 1e60  #: [rad, m] response beyond which there is no second order
 SECOND = 0.1  #: of the largest misfit: where no misfit differs by more from that to second order, its maxima are the worst directions
 SAME = 0.98  #: cosine of two directions that count as one
+NO_ROW = 1e-3  #: of the largest singular value of the second order: rows below it are left out
+CLIMBS, FLAT = 60, 1e-4  #: steps uphill to a local maximum, and the move along the slope at which it is reached
+REVERSED = 3  #: times that an entry of a local maximum is reversed, to climb on from there
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +82,10 @@ def candidates(e: Equations, base: Simulation, basis: Array, seed: int) -> list[
     if found is None:
         ranked = [(np.inf, _on_box(c, n)) for c in starts]
     else:
+        found = found.turned()
         singular = np.linalg.svd(found.second.reshape(-1, k), full_matrices=False)[2]
-        ranked = _distinct([found.maximum(_on_box(c, n), n) for c in [*singular[:n], *starts]])
-        ranked = [(float(np.exp(-found_at)), c) for found_at, c in ranked]
+        reached, where = found.maxima(np.array([_on_box(c, n) for c in [*singular[:n], *starts]]), n)
+        ranked = [(float(np.exp(-largest)), c) for largest, c in _distinct(reached, where)]
     out = [(reach, sign * c) for reach, c in ranked[:MAXIMA] for sign in (1.0, -1.0)]
     if found is not None:
         signed = [sign * c for _, c in ranked[:CLIMBED] for sign in (1.0, -1.0)]
@@ -99,30 +103,27 @@ def _climbed(e: Equations, base: Simulation, basis: Array, second: SecondOrder, 
     misfit is that at the radius of the worst direction so far, from ``size`` on.
     """
     k, n, size = basis.shape[1], e.n, min(size, 1.0)
+    follower = Follower(e, base, size * starts[:PROBED] @ basis.T)
 
     def misfits(c: Array) -> Array:
-        assert along is not None
-        found = along.misfits(size * c.reshape(-1, k) @ basis.T).reshape(c.shape[:-1])
+        """(m, j) of directions (m, j, k); -1 where a response is not followed."""
+        found = follower.misfits(size * c @ basis.T)
         return np.where(np.isnan(found), -1.0, np.minimum(found, WORST))
 
-    worst, steps = np.full(len(starts), -1.0), STEPS_ALONG[0]
-    for steps in STEPS_ALONG:
-        along = response(e, base, steps)
-        if along is None:
-            return []
-        worst = misfits(starts)
-        if (worst >= 0).mean() >= FOLLOWED:
-            break
+    worst = misfits(starts[:, None])[:, 0]
     off = np.where(worst >= 0, np.abs(worst - size * np.exp(second.ratios(starts))), np.inf).max()
-    some = np.argsort(-worst, kind="stable")[: max(2, CLIMBERS * STEPS_ALONG[0] // steps)]  # the more steps, the fewer directions
+    some = np.argsort(-worst, kind="stable")[: max(2, CLIMBERS * STEPS_ALONG[0] // max(follower.steps, 1))]  # the more steps, the fewer directions
     c, worst = starts[some], worst[some]
+    low, high = 0.0, np.inf  #: [rad, m] sizes below and above the one where the worst is MISFIT
     moved_none = 0.0  #: the last step that moved no direction
     for step in PATTERN if off > SECOND * worst.max() else ():
         if worst.max() < NOTHING:
             return []
         if step == moved_none:
             continue
-        size = min(size * float(np.clip(MISFIT / worst.max(), 0.3, 3.0)), LARGEST)
+        low, high = (low if low < size else 0.0, size) if worst.max() > MISFIT else (size, high if high > size else np.inf)
+        wanted = min(size * float(np.clip(MISFIT / worst.max(), 0.3, 3.0)), LARGEST)
+        size = wanted if low <= wanted < high else float(np.sqrt(low * high))  # where a limit is reached the misfit is not in proportion
         turn = np.where(c > 0, -1.0, 1.0)  # each entry towards 0
         reached = misfits(np.concatenate([c[:, None], _inside(c[:, None] + step * turn[:, None] * np.eye(k), n)], axis=1))
         gain = reached[:, 1:] - reached[:, :1]
@@ -131,11 +132,12 @@ def _climbed(e: Equations, base: Simulation, basis: Array, second: SecondOrder, 
         rank = np.argsort(np.argsort(-gain, axis=1), axis=1)
         some = np.stack([(rank < count) & (gain > 0) for count in (*TOGETHER, k)], axis=1)
         tried = _inside(c[:, None] + step * some * turn[:, None], n)
-        reached, tried = np.concatenate([reached[:, :1], misfits(tried)], axis=1), np.concatenate([c[:, None], tried], axis=1)
+        tried = np.concatenate([c[:, None], tried], axis=1)
+        reached = misfits(tried)
         best = reached.argmax(axis=1)
         moved_none = 0.0 if best.any() else step
         c, worst = tried[np.arange(len(c)), best], reached[np.arange(len(c)), best]
-    return [(size / float(worst[i]), c[i]) for i in np.argsort(-worst, kind="stable") if worst[i] > 0]
+    return [(size / found, at) for found, at in _distinct(worst, c, signed=True) if found > 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,34 +147,73 @@ class SecondOrder:
     first: Array  #: (r, k)
     second: Array  #: (r, k, k) symmetric
 
+    def turned(self) -> SecondOrder:
+        """Both in other rows, fewer, that have the same norms."""
+        i, j = np.triu_indices(self.first.shape[1])
+        weight = np.where(i == j, 1.0, np.sqrt(2.0))
+        _, size, rows = np.linalg.svd(self.second[:, i, j] * weight, full_matrices=False)
+        keep = size > NO_ROW * size[0]
+        second = np.empty((int(keep.sum()), *self.second.shape[1:]))
+        second[:, i, j] = second[:, j, i] = size[keep, None] * rows[keep] / weight
+        return SecondOrder(np.asarray(np.linalg.qr(self.first, mode="r"), float), second)
+
     def ratios(self, c: Array) -> Array:
         """log of the misfit for each unit of size, of disturbances (m, k): (m,)."""
-        square = ((self.second @ c.T) * c.T).sum(axis=1)
-        return np.asarray(0.5 * np.log(_ratio((square**2).sum(axis=0), ((self.first @ c.T) ** 2).sum(axis=0))))
+        return self._slopes(c)[0]
 
-    def maximum(self, start: Array, joints: int) -> tuple[float, Array]:
-        """A local maximum in the box near ``start``, whose joint at 1 stays there, no single entry of which can be reversed with gain."""
-        from scipy.optimize import minimize
+    def _slopes(self, c: Array) -> tuple[Array, Array]:
+        """``ratios`` (m,) and their gradients (m, k)."""
+        linear, row = self.first @ c.T, self.second @ c.T
+        square = (row * c.T).sum(axis=1)
+        bottom = (linear**2).sum(axis=0)
+        top = _ratio((square**2).sum(axis=0), bottom) * bottom
+        slope = (row * square[:, None]).sum(axis=0) * (2 / top) - self.first.T @ linear / bottom
+        return np.asarray(0.5 * np.log(top / bottom)), slope.T
 
-        lead = int(np.argmax(np.abs(start[:joints])))
-        bounds = [(start[lead], start[lead]) if i == lead else (-1.0, 1.0) for i in range(start.size)]
-        c = start
-        while True:
-            found = minimize(self._loss, c, jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": 60})
-            c, reached = np.asarray(found.x, float), float(-found.fun)
-            flipped = c * (1 - 2 * np.eye(c.size))
-            flipped[lead] = c
-            gains = self.ratios(flipped)
-            if not gains.max() > reached + 1e-6:
-                return reached, c
-            c = flipped[int(np.argmax(gains))]
+    def maxima(self, starts: Array, joints: int) -> tuple[Array, Array]:
+        """Local maxima in the box, (m,) and where (m, k), one near each of the ``starts`` (m, k).
 
-    def _loss(self, c: Array) -> tuple[float, Array]:
-        linear, row = self.first @ c, self.second @ c
-        square = row @ c
-        bottom = linear @ linear
-        ratio = _ratio(square @ square, bottom)
-        return -0.5 * float(np.log(ratio)), (linear @ self.first - 2 * (square @ row) / ratio) / bottom
+        The largest joint of each start, at 1 or -1, stays there. No other entry can be reversed with gain.
+        """
+        lead = np.abs(starts[:, :joints]).argmax(axis=1)
+        reached, c = self._uphill(starts, lead)
+        going = np.arange(len(c))
+        for _ in range(REVERSED):
+            reversed_ = c[going, None] * (1 - 2 * np.eye(c.shape[1]))
+            reversed_[np.arange(going.size), lead[going]] = c[going]
+            gains = self.ratios(reversed_.reshape(-1, c.shape[1])).reshape(going.size, -1)
+            more = gains.max(axis=1) > reached[going] + 1e-6
+            going, best = going[more], reversed_[more, gains[more].argmax(axis=1)]
+            if not going.size:
+                break
+            reached[going], c[going] = self._uphill(best, lead[going])
+        return reached, c
+
+    def _uphill(self, starts: Array, lead: Ints) -> tuple[Array, Array]:
+        """Uphill in the box from all starts at once, with the step lengths of Barzilai and Borwein (IMA J. Numer. Anal. 8, 1988)."""
+        out, found = starts.copy(), np.empty(len(starts))
+        going, c = np.arange(len(starts)), starts
+        held = np.arange(c.shape[1]) == lead[:, None]
+        reached, slope = self._slopes(c)
+        slope = np.where(held, 0.0, slope)
+        step = 0.5 / np.maximum(np.abs(slope).max(axis=1), 1e-12)
+        for _ in range(CLIMBS):
+            later = np.clip(c + step[:, None] * slope, -1.0, 1.0)
+            ratio, turned = self._slopes(later)
+            turned = np.where(held, 0.0, turned)
+            moved, bent = later - c, slope - turned
+            curved = (moved * bent).sum(axis=1)
+            length = np.where(curved > 0, (moved**2).sum(axis=1) / np.where(curved > 0, curved, 1.0), 10 * step)
+            up = ratio >= reached
+            step = np.where(up, np.clip(length, 1e-3, 1e3), 0.3 * step)
+            c, slope, reached = np.where(up[:, None], later, c), np.where(up[:, None], turned, slope), np.maximum(ratio, reached)
+            out[going], found[going] = c, reached
+            far = np.abs(np.clip(c + slope, -1.0, 1.0) - c).max(axis=1) > FLAT
+            if not far.all():
+                if not far.any():
+                    break
+                going, c, slope, reached, step, held = (x[far] for x in (going, c, slope, reached, step, held))
+        return found, out
 
 
 def second_order(e: Equations, base: Simulation, basis: Array) -> SecondOrder | None:
@@ -187,14 +228,13 @@ def second_order(e: Equations, base: Simulation, basis: Array) -> SecondOrder | 
     nodes = t[:1] if still else t[:-1:every]
     scale = SHIFT * np.abs(basis).max(axis=1)
     moved = np.flatnonzero(scale)
-    shifts = np.diag(scale)[moved]
-    around = base.state(nodes)[:, None, None] + np.stack([shifts, -shifts])
+    shifts = np.concatenate([np.zeros((1, nx)), np.diag(scale)[moved]])
+    around = base.state(nodes)[:, None] + shifts
     lose = any(s.one_sided for s in e.surfaces)
-    A = closed_matrix(e, np.repeat(nodes, 2 * moved.size), around.reshape(-1, nx), lose_contact=lose)
-    A = A.reshape(nodes.size, 2, moved.size, nx, nx)
+    A = closed_matrix(e, np.repeat(nodes, len(shifts)), around.reshape(-1, nx), lose_contact=lose).reshape(nodes.size, len(shifts), nx, nx)
     H = np.zeros((nodes.size, nx, nx, nx))  # H[:, l, i, j] = d A_ij / d x_l
-    H[:, moved] = (A[:, 0] - A[:, 1]) / (2 * scale[moved, None, None])
-    Phi, Gamma = zero_order_hold(A.mean(axis=(1, 2)), np.broadcast_to(np.eye(nx), (nodes.size, nx, nx)), float(t[1]))
+    H[:, moved] = (A[:, 1:] - A[:, :1]) / scale[moved, None, None]
+    Phi, Gamma = zero_order_hold(A[:, 0], np.broadcast_to(np.eye(nx), (nodes.size, nx, nx)), float(t[1]))
     P, X, source = basis, np.zeros((nx, k * k)), _source(H[0], basis)
     first, second = [P[q]], [np.zeros((e.n, k, k))]
     with np.errstate(all="ignore"):
@@ -247,13 +287,15 @@ def _inside(c: Array, joints: int) -> Array:
     return np.asarray(np.clip(c / np.maximum(np.abs(c[..., :joints]).max(axis=-1, keepdims=True), 1e-300), -1.0, 1.0))
 
 
-def _distinct(found: list[tuple[float, Array]]) -> list[tuple[float, Array]]:
-    """The largest first, without those that have the direction of a larger one, either sign."""
-    out: list[tuple[float, Array]] = []
-    for reached, c in sorted(found, key=lambda pair: -pair[0]):
-        if all(abs(c @ other) < SAME * np.linalg.norm(c) * np.linalg.norm(other) for _, other in out):
-            out.append((reached, c))
-    return out
+def _distinct(reached: Array, c: Array, *, signed: bool = False) -> list[tuple[float, Array]]:
+    """The largest first, without those that have the direction of a larger one (either sign unless ``signed``)."""
+    unit = c / np.linalg.norm(c, axis=1, keepdims=True)
+    cosine = unit @ unit.T
+    same, kept = (cosine if signed else np.abs(cosine)) >= SAME, np.empty(0, int)
+    for i in np.argsort(-reached, kind="stable"):
+        if not same[i, kept].any():
+            kept = np.append(kept, i)
+    return [(float(reached[i]), c[i]) for i in kept]
 
 
 def _ratio(square: Array, linear: Array) -> Array:

@@ -20,6 +20,7 @@ from mfc_analysis.maths.zero_order_hold import zero_order_hold
 from mfc_analysis.simulation.simulation import Simulation
 
 STEPS = (25, 50, 100, 200)  #: of a response: numbers tried until the steps are short enough
+FOLLOWED = 0.75  #: of the starts: those that the steps are to follow
 ROUGH = 0.02  #: of the misfit: difference between prediction and correction in steps that are too long
 FAR = 1e6  #: [SI] deviation beyond which a response is not followed
 
@@ -41,6 +42,16 @@ class Response:
 
         NaN where the steps are too long, or the law cannot be evaluated.
         """
+        found, rough = self._followed(starts)
+        return np.where(rough <= ROUGH, found, np.nan)
+
+    def enough(self, starts: Array, part: float) -> float:
+        """Number of steps that can follow this part of the starts: the correction of a step shrinks with the square of its length."""
+        rough = np.sort(self._followed(starts)[1])[max(int(part * len(starts)), 1) - 1]
+        return len(self.Phi) * float(np.sqrt(rough / ROUGH)) if np.isfinite(rough) else len(self.Phi) + 1.0
+
+    def _followed(self, starts: Array) -> tuple[Array, Array]:
+        """The misfits (m,), and what is corrected in the steps, of these misfits; inf where the run was not followed to its end."""
         q = self.equations.parts["q"].where
         linear, d = starts.copy(), starts.copy()
         going = np.asarray(np.isfinite(starts).all(axis=1), bool)
@@ -58,8 +69,9 @@ class Response:
             beyond += ((d - linear)[:, q] ** 2).sum(axis=1)
             moved += (d[:, q] ** 2).sum(axis=1)
             corrected += (change[:, q] ** 2).sum(axis=1)
-        followed = going & (corrected <= ROUGH**2 * beyond)
-        return np.where(followed, np.sqrt(beyond / np.maximum(moved, 1e-300)), np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rough = np.where(going, np.sqrt(np.where(corrected > 0, corrected / beyond, 0.0)), np.inf)
+        return np.sqrt(beyond / np.maximum(moved, 1e-300)), rough
 
     def _rest(self, k: int, d: Array, going: Bools) -> Array:
         """r (m, nx) at step ``k``; clears ``going`` where the equations cannot be evaluated."""
@@ -83,6 +95,41 @@ def response(e: Equations, base: Simulation, steps: int) -> Response | None:
     if not (np.isfinite(Phi).all() and np.isfinite(Gamma).all()):
         return None
     return Response(e, t, x, e.rates(t, x, lose_contact=True), A, Phi, Gamma)
+
+
+class Follower:
+    """Responses to disturbed starts, in the fewest of the numbers of ``STEPS`` that can follow most of them."""
+
+    def __init__(self, e: Equations, base: Simulation, first: Array) -> None:
+        """For the deviations ``first`` (m, nx) at the start, which choose the number of steps. Raises as ``response``."""
+        self._equations, self._base, self._finer = e, base, list(STEPS[1:])
+        self.along = response(e, base, STEPS[0])  #: None where the linear response overflows
+        if self.along is not None:
+            self._refine(self.along.enough(first, FOLLOWED))
+
+    @property
+    def steps(self) -> int:
+        """Their number now."""
+        return 0 if self.along is None else len(self.along.Phi)
+
+    def misfits(self, starts: Array) -> Array:
+        """(m, j) as ``Response.misfits`` of starts (m, j, nx); in shorter steps from now on where most of them are not followed."""
+        while self.along is not None:
+            found = self.along.misfits(starts.reshape(-1, starts.shape[-1])).reshape(starts.shape[:-1])
+            if not self._finer or np.isfinite(found).mean() >= FOLLOWED:
+                return found
+            self._refine()
+        return np.full(starts.shape[:-1], np.nan)
+
+    def _refine(self, least: float = np.inf) -> None:
+        """Shorter steps, ``least`` of them if there may be so many; the next number if it is not given."""
+        number = self.steps
+        while self._finer and number < least:
+            number = self._finer.pop(0)
+            if least == np.inf:
+                break
+        if number != self.steps:
+            self.along = response(self._equations, self._base, number)
 
 
 def _rates(e: Equations, t: float, x: Array) -> Array:

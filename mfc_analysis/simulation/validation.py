@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 STEPS = 200
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
-WORK = 1.5  #: times the evaluations that one run may take, for all runs of a validation
+WORK = 3.0  #: times the evaluations that one run may take, for all runs of a validation: about 15 s of work
 REGULAR, LEAST = 0.05, 1e-2  #: agreement of two slopes of a remainder below the solver's error, and the part of that error it exceeds
 CLOSE = 0.01  #: relative accuracy of the radius
 FIRST, LATER = (-6, 1), (-2, 2)  #: sizes below and above the one where a direction is to have its radius, run with it: the first is often too large
 NEAR = 0.1  #: relative difference of two sizes up to which the misfit is in proportion
-LOOSE: dict[str, Any] = {"rtol": 1e-7, "atol": 1e-10}  #: of the runs that give the radius
+LOOSE, LOOSEST = 5e-5, 1e-6  #: relative tolerance of the runs that give the radius, for each rad (m) of their disturbance, and its largest value
 
 Case = tuple[Array, float]  #: direction (nx,) and size of a disturbance
 Pair = tuple[Array, Array]  #: (N, n) joint deviations of the nonlinear run and of the linear model
@@ -126,13 +126,13 @@ class _Disturbed:
 
     def misfits(self, cases: list[Case]) -> list[float]:
         """``misfit`` of each case, inf where its run does not reach the end."""
-        return [np.inf if isinstance(pair, str) else misfit(*pair) for pair in self.compare(cases, LOOSE)]
+        return [np.inf if isinstance(pair, str) else misfit(*pair) for pair in self.compare(cases, _loose(cases))]
 
     def together(self, cases: list[Case]) -> list[float]:
         """The same where several runs can be run together and all reach the end; none otherwise."""
         if self.alone or len(cases) < 2:
             return []
-        x = self._stacked(self._starts(cases), LOOSE)
+        x = self._stacked(self._starts(cases), _loose(cases))
         return [] if x is None else [misfit(*self._pair(one, case)) for one, case in zip(x, cases, strict=True)]
 
     def compare(self, cases: list[Case], options: dict[str, Any]) -> list[Pair | str]:
@@ -173,6 +173,12 @@ class _Disturbed:
         self.left = max(self.left - evaluations, 1.0)
         if outcome is Outcome.STOPPED:
             raise _TooMuch(f"the runs take more than {self.allowed} evaluations of the equations; a shorter time= takes fewer")
+
+
+def _loose(cases: list[Case]) -> dict[str, Any]:
+    """Tolerances that suffice for the misfit of each case."""
+    rtol = float(np.clip(LOOSE * min(size for _, size in cases), TIGHT["rtol"], LOOSEST))
+    return {"rtol": rtol, "atol": 0.1 * rtol}
 
 
 def misfit(nonlinear: Array, linear: Array) -> float:
@@ -245,7 +251,9 @@ def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least
     The misfit grows about in proportion to the size, so the next size tried is where it would be ``MISFIT``, once that is near with some more
     about it. ``known``: size -> misfit.
     """
+    tries = 0
     while True:
+        tries += 1
         high = min((s for s, found in known.items() if not found < MISFIT), default=np.inf)
         low = max((s for s in known if s < high), default=0.0)
         if high <= least:
@@ -261,7 +269,9 @@ def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least
             size = min(max(size, (1 + CLOSE) * low), LARGEST)
         elif low == 0:
             size = max(min(size, (1 - CLOSE) * high), least)
-        elif not low < size < high:
+        elif tries % 3 and known[low] > 0 and known[high] < np.inf:  # where a power of the size between the two would have it
+            size = low * (high / low) ** float(np.log(MISFIT / known[low]) / np.log(known[high] / known[low]))
+        else:
             size = float(np.sqrt(low * high))
         sizes = _about(size, LATER, low, high, least) if 0.5 < change < 2 else [size]
         found = runs.together([(direction, s) for s in sizes]) or runs.misfits([(direction, size)])

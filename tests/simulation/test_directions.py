@@ -15,8 +15,9 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.simulation import directions
 from mfc_analysis.simulation.directions import MAXIMA, SAMPLES, SecondOrder, candidates, scaled_basis, second_order
 from mfc_analysis.simulation.orbit import TIGHT, transitions_along
-from mfc_analysis.simulation.response import STEPS, Response
+from mfc_analysis.simulation.response import FOLLOWED, STEPS, Follower, Response
 from mfc_analysis.simulation.simulation import Simulation
+from mfc_analysis.simulation.validation import misfit
 from mfc_analysis.trajectories import Hold
 from tests.conftest import arm, moving, plant, regular_pose
 
@@ -57,12 +58,22 @@ def test_a_maximum_stays_in_the_box_and_nothing_near_it_is_larger() -> None:
     assert found is not None
     k, rng = basis.shape[1], np.random.default_rng(1)
     start = np.eye(k)[2]
-    reached, c = found.maximum(start, 6)
+    reached, c = (x[0] for x in found.maxima(start[None], 6))
     assert c[2] == 1.0 and np.abs(c).max() <= 1.0
     near = np.clip(c + 0.3 * rng.normal(size=(200, k)), -1, 1)
     near[:, 2] = 1.0
     assert found.ratios(near).max() <= reached + 1e-9 and found.ratios(c[None])[0] == pytest.approx(reached)
     assert reached > found.ratios(start[None])[0]
+
+
+def test_fewer_rows_give_the_same_misfits() -> None:
+    loop = LOOPS["at rest"]()
+    base, basis = based(loop, 0.2)
+    found = second_order(loop.equations, base, basis)
+    assert found is not None
+    few, c = found.turned(), np.random.default_rng(2).uniform(-1, 1, (50, basis.shape[1]))
+    assert len(few.second) < 0.5 * len(found.second)
+    assert_allclose(few.ratios(c), found.ratios(c), atol=1e-4)
 
 
 def test_the_basis_moves_a_joint_by_one_and_any_other_state_by_what_a_joint_error_makes_of_it() -> None:
@@ -90,6 +101,25 @@ def test_candidates_lie_in_the_box_the_worst_first_with_both_signs() -> None:
         assert np.abs(c[:6]).max() == pytest.approx(1.0) and np.abs(c).max() <= 1 + 1e-9
 
 
+def test_steps_become_shorter_where_most_starts_cannot_be_followed() -> None:
+    """From far off the response bends within a step that could follow it from near; the shorter steps agree with runs."""
+    loop = LOOPS["at rest"]()
+    base, basis = based(loop, 0.2)
+    c = np.random.default_rng(3).uniform(-1, 1, (6, basis.shape[1]))
+    follower = Follower(loop.equations, base, 1e-3 * c @ basis.T)
+    first = follower.steps
+    near, far = (follower.misfits(size * (c @ basis.T)[:, None])[:, 0] for size in (1e-3, 0.5))
+    assert STEPS[0] < first < follower.steps
+    assert np.isfinite(near).all() and np.isfinite(far).mean() >= FOLLOWED
+    n = loop.robot.n
+    still = loop.simulate(base.t, x=base.x[0], **TIGHT).q
+    linear = accumulated(transitions_along(loop.equations, base, base.t))[:, :n]
+    for i in np.flatnonzero(np.isfinite(far)):
+        d = 0.5 * basis @ c[i]
+        moved = loop.simulate(base.t, x=base.x[0] + d, **TIGHT).q - still
+        assert far[i] == pytest.approx(misfit(moved, linear @ d), rel=0.1)
+
+
 def test_where_the_second_order_gives_the_misfits_nothing_is_climbed_and_nothing_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 9.10 with a wrong model the misfits of the starts are within a tenth of those to second order, and the search finds the same radius."""
     robot = robots.load("kinova")
@@ -108,6 +138,6 @@ def test_a_torque_limit_and_a_surface_that_can_be_left_give_their_own_candidates
     law, hold = L.DampedForcePI([0, 0, 5.0, 0, 0, 0], 1.0, None, 20.0), Hold([0.0])
     free, limited = (ClosedLoop(robots.slider(), law, hold, environment=wall, hardware=Hardware(torque_limit=limit)) for limit in (None, 20.0))
     base, basis = based(limited, 0.2)
-    directions = [c.direction for c in candidates(limited.equations, base, basis, 0)]
-    assert len(directions) == len(candidates(free.equations, base, basis, 0)) + 1
-    assert directions[-1][0] < 0 and directions[-1][1] < 0  # away from the wall, fastest
+    own, others = ([c.direction for c in candidates(loop.equations, base, basis, 0) if np.isinf(c.reach)] for loop in (limited, free))
+    assert len(own) == len(others) + 1
+    assert own[-1][0] < 0 and own[-1][1] < 0  # away from the wall, fastest
