@@ -32,8 +32,8 @@ class _Change(NamedTuple):
     replaced: int  #: number of leading states of x that they replace
 
 
-def _tangent(x: Vector, shape: tuple[int, int], width: int) -> Array:
-    """Tangent (m, k, width) of a dual, zeros of a plain array."""
+def _tangent(x: Vector, shape: tuple[int, ...], width: int) -> Array:
+    """Tangent (..., k, width) of a dual, zeros of a plain array."""
     return x.tangent if isinstance(x, Dual) else np.zeros((*shape, width))
 
 
@@ -125,6 +125,14 @@ def _reference_shift(equations: Equations, times: Array, x: Array, width: int) -
     shift = np.zeros((m, 6, width))
     shift[..., nx : nx + k] = reference_moves(equations, times, x)
     return Dual(np.zeros((m, 6)), shift)
+
+
+def matrix_at(equations: Equations, t: float, x: Array, *, lose_contact: LoseContact = False) -> Array:
+    """A (nx, nx) as ``closed_matrix`` at one time [s] and state x (nx,): the batch of one would cost a tenth more."""
+    if equations.law.needs_acceleration:
+        return np.asarray(closed_matrix(equations, np.full(1, t), x[None], lose_contact=lose_contact)[0], float)
+    flow = equations.flow(t, Seed(x, 0, equations.nx), lose_contact=lose_contact)
+    return _finite(_tangent(equations.join(flow.rates), x.shape, equations.nx))
 
 
 def open_system(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, warn_near_singular
-from mfc_analysis.dynamics.jacobians import closed_matrix, external
+from mfc_analysis.dynamics.jacobians import closed_matrix, external, matrix_at
 from mfc_analysis.dynamics.operating_point import OperatingPoint
 from mfc_analysis.errors import BadArgument, MfcError, UnknownName, Unsupported
 from mfc_analysis.laws.law import TWIST, WRENCH
@@ -189,22 +189,36 @@ def _run(run: Run, asked: Array, x0: Array) -> None:
 
 
 def _run_continuous(run: Run, asked: Array, x0: Array) -> None:
-    e, count = run.equations, run.count or 1
-    nx = e.nx
-    known = np.zeros((count, nx, nx))
-    row, column = np.mgrid[:nx, :nx]
-    bands = np.zeros((2 * nx - 1, count, nx))
+    run.integrate(run.rates, float(asked[0]), float(asked[-1]), x0, _jacobian(run) if run.count is None else _jacobian_of_many(run, run.count))
+
+
+def _jacobian(run: Run) -> Callable[[float, Array], Array]:
+    e = run.equations
+    known = np.zeros((e.nx, e.nx))
 
     def jac(t: float, x: Array) -> Array:
         nonlocal known
         with suppress(MfcError):  # the trial step is too long: the rates report it, and the solver uses the last Jacobian
+            known = matrix_at(e, t, x, lose_contact=run.lose_contact)
+        return known
+
+    return jac
+
+
+def _jacobian_of_many(run: Run, count: int) -> Callable[[float, Array], Array]:
+    """As the solver takes the bands of a matrix, a block for each run."""
+    e = run.equations
+    nx = e.nx
+    row, column = np.mgrid[:nx, :nx]
+    bands = np.zeros((2 * nx - 1, count, nx))
+
+    def jac(t: float, x: Array) -> Array:
+        with suppress(MfcError):
             known = closed_matrix(e, np.full(count, t), x.reshape(count, nx), lose_contact=run.lose_contact)
-        if run.count is None:
-            return np.asarray(known[0], float)
-        bands[nx - 1 + row - column, :, column] = np.moveaxis(known, 0, -1)  # a block for each run
+            bands[nx - 1 + row - column, :, column] = np.moveaxis(known, 0, -1)
         return np.reshape(bands, (2 * nx - 1, count * nx))
 
-    run.integrate(run.rates, float(asked[0]), float(asked[-1]), x0, jac)
+    return jac
 
 
 def simulate_together(

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from mfc_analysis import laws as L, robots
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.hardware import Hardware
-from mfc_analysis.dynamics.jacobians import closed_matrix, closed_system, external, open_system
+from mfc_analysis.dynamics.jacobians import closed_matrix, closed_system, external, matrix_at, open_system
 from mfc_analysis.linearization.linearization import Linearization
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.se3 import exp6, inverse, log6
@@ -269,6 +269,17 @@ def test_columns_do_not_depend_on_which_points_are_linearised_together() -> None
     together = loop.linearize(t).A
     for i in (0, 3, 6):
         assert_allclose(loop.linearize([t[i]]).A[0], together[i], rtol=0, atol=1e-11 * np.abs(together[i]).max())
+
+
+@pytest.mark.parametrize(("name", "case"), EVERY)
+def test_the_matrix_at_one_point_is_that_of_the_batch(name: str, case: Case) -> None:
+    law = case.law(arm(name).n)
+    for contact in (False, True) if law.plant == "torque" or law.senses_force else (False,):
+        loop = loop_of(case, name, contact=contact)
+        e = loop.equations
+        x = loop.linearize(TIMES).point.x + 0.02 * seed(name, case.name).normal(size=(2, e.nx))
+        A = closed_matrix(e, TIMES, x, lose_contact=contact)[1]
+        assert_allclose(matrix_at(e, float(TIMES[1]), x[1], lose_contact=contact), A, rtol=0, atol=1e-10 * np.abs(A).max())
 
 
 def test_a_small_pose_error_is_as_exact_as_a_large_one() -> None:
