@@ -8,6 +8,7 @@ maxima, many directions at once.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.errors import MfcError
-from mfc_analysis.maths.arrays import Array, Ints
+from mfc_analysis.maths.arrays import Array, Bools, Ints
 from mfc_analysis.maths.dual import value
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 from mfc_analysis.simulation.response import STEPS as STEPS_ALONG, Follower
@@ -102,7 +103,7 @@ def _climbed(e: Equations, base: Simulation, basis: Array, second: SecondOrder, 
     Where the second order gives the misfits of the starts, its maxima are among them and nothing is climbed. Else pattern search in the box. The
     misfit is that at the radius of the worst direction so far, from ``size`` on.
     """
-    k, n, size = basis.shape[1], e.n, min(size, 1.0)
+    n, size = e.n, min(size, 1.0)
     follower = Follower(e, base, size * starts[:PROBED] @ basis.T)
 
     def misfits(c: Array) -> Array:
@@ -124,20 +125,26 @@ def _climbed(e: Equations, base: Simulation, basis: Array, second: SecondOrder, 
         low, high = (low if low < size else 0.0, size) if worst.max() > MISFIT else (size, high if high > size else np.inf)
         wanted = min(size * float(np.clip(MISFIT / worst.max(), 0.3, 3.0)), LARGEST)
         size = wanted if low <= wanted < high else float(np.sqrt(low * high))  # where a limit is reached the misfit is not in proportion
-        turn = np.where(c > 0, -1.0, 1.0)  # each entry towards 0
-        reached = misfits(np.concatenate([c[:, None], _inside(c[:, None] + step * turn[:, None] * np.eye(k), n)], axis=1))
-        gain = reached[:, 1:] - reached[:, :1]
-        back = (gain < 0) & (np.abs(c) < 1)  # where that loses, the other way should gain
-        gain, turn = np.where(back, -gain, gain), np.where(back, -turn, turn)
-        rank = np.argsort(np.argsort(-gain, axis=1), axis=1)
-        some = np.stack([(rank < count) & (gain > 0) for count in (*TOGETHER, k)], axis=1)
-        tried = _inside(c[:, None] + step * some * turn[:, None], n)
-        tried = np.concatenate([c[:, None], tried], axis=1)
-        reached = misfits(tried)
-        best = reached.argmax(axis=1)
-        moved_none = 0.0 if best.any() else step
-        c, worst = tried[np.arange(len(c)), best], reached[np.arange(len(c)), best]
+        later, worst = _searched(misfits, c, step, n)
+        moved_none = step if np.array_equal(later, c) else 0.0
+        c = later
     return [(size / found, at) for found, at in _distinct(worst, c, signed=True) if found > 0]
+
+
+def _searched(misfits: Callable[[Array], Array], c: Array, step: float, joints: int) -> tuple[Array, Array]:
+    """One step of the pattern search from directions c (m, k): the best of each with entries changed by ``step``, and their misfits (m,)."""
+    k = c.shape[1]
+    turn = np.where(c > 0, -1.0, 1.0)  # each entry towards 0
+    reached = misfits(np.concatenate([c[:, None], _inside(c[:, None] + step * turn[:, None] * np.eye(k), joints)], axis=1))
+    gain = reached[:, 1:] - reached[:, :1]
+    back = (gain < 0) & (np.abs(c) < 1)  # where that loses, the other way should gain
+    gain, turn = np.where(back, -gain, gain), np.where(back, -turn, turn)
+    rank = np.argsort(np.argsort(-gain, axis=1), axis=1)
+    some = np.stack([(rank < count) & (gain > 0) for count in (*TOGETHER, k)], axis=1)
+    tried = np.concatenate([c[:, None], _inside(c[:, None] + step * some * turn[:, None], joints)], axis=1)
+    reached = misfits(tried)
+    best = reached.argmax(axis=1)
+    return tried[np.arange(len(c)), best], reached[np.arange(len(c)), best]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +184,7 @@ class SecondOrder:
         """
         lead = np.abs(starts[:, :joints]).argmax(axis=1)
         reached, c = self._uphill(starts, lead)
-        going = np.arange(len(c))
+        going: Ints = np.arange(len(c))
         for _ in range(REVERSED):
             reversed_ = c[going, None] * (1 - 2 * np.eye(c.shape[1]))
             reversed_[np.arange(going.size), lead[going]] = c[going]
@@ -190,30 +197,44 @@ class SecondOrder:
         return reached, c
 
     def _uphill(self, starts: Array, lead: Ints) -> tuple[Array, Array]:
-        """Uphill in the box from all starts at once, with the step lengths of Barzilai and Borwein (IMA J. Numer. Anal. 8, 1988)."""
-        out, found = starts.copy(), np.empty(len(starts))
-        going, c = np.arange(len(starts)), starts
-        held = np.arange(c.shape[1]) == lead[:, None]
-        reached, slope = self._slopes(c)
-        slope = np.where(held, 0.0, slope)
-        step = 0.5 / np.maximum(np.abs(slope).max(axis=1), 1e-12)
+        """Uphill in the box from all starts at once."""
+        at = _Climb(starts.copy(), np.arange(starts.shape[1]) == lead[:, None], *self._slopes(starts))
         for _ in range(CLIMBS):
-            later = np.clip(c + step[:, None] * slope, -1.0, 1.0)
-            ratio, turned = self._slopes(later)
-            turned = np.where(held, 0.0, turned)
-            moved, bent = later - c, slope - turned
-            curved = (moved * bent).sum(axis=1)
-            length = np.where(curved > 0, (moved**2).sum(axis=1) / np.where(curved > 0, curved, 1.0), 10 * step)
-            up = ratio >= reached
-            step = np.where(up, np.clip(length, 1e-3, 1e3), 0.3 * step)
-            c, slope, reached = np.where(up[:, None], later, c), np.where(up[:, None], turned, slope), np.maximum(ratio, reached)
-            out[going], found[going] = c, reached
-            far = np.abs(np.clip(c + slope, -1.0, 1.0) - c).max(axis=1) > FLAT
-            if not far.all():
-                if not far.any():
-                    break
-                going, c, slope, reached, step, held = (x[far] for x in (going, c, slope, reached, step, held))
-        return found, out
+            far = at.far()
+            if not far.size:
+                break
+            tried = at.tried(far)
+            at.move(far, tried, *self._slopes(tried))
+        return at.reached, at.c
+
+
+class _Climb:
+    """Ascent from m points in the box, with the step lengths of Barzilai and Borwein (IMA J. Numer. Anal. 8, 1988)."""
+
+    def __init__(self, c: Array, held: Bools, reached: Array, slope: Array) -> None:
+        self.c, self.held = c, held  #: (m, k) where, and the entries that stay
+        self.reached: Array = reached  #: (m,)
+        self.slope: Array = np.where(held, 0.0, slope)  #: (m, k)
+        self.step: Array = 0.5 / np.maximum(np.abs(self.slope).max(axis=1), 1e-12)  #: (m,)
+
+    def far(self) -> Ints:
+        """The points that are not yet at a maximum."""
+        return np.flatnonzero(np.abs(np.clip(self.c + self.slope, -1.0, 1.0) - self.c).max(axis=1) > FLAT)
+
+    def tried(self, some: Ints) -> Array:
+        """The next places of some points."""
+        return np.clip(self.c[some] + self.step[some, None] * self.slope[some], -1.0, 1.0)
+
+    def move(self, some: Ints, tried: Array, ratio: Array, slope: Array) -> None:
+        """There where that is uphill, else the step becomes shorter."""
+        slope = np.where(self.held[some], 0.0, slope)
+        up = ratio >= self.reached[some]
+        moved = tried - self.c[some]
+        curved = (moved * (self.slope[some] - slope)).sum(axis=1)
+        length = np.where(curved > 0, (moved**2).sum(axis=1) / np.where(curved > 0, curved, 1.0), 10 * self.step[some])
+        self.step[some] = np.where(up, np.clip(length, 1e-3, 1e3), 0.3 * self.step[some])
+        some = some[up]
+        self.c[some], self.slope[some], self.reached[some] = tried[up], slope[up], ratio[up]
 
 
 def second_order(e: Equations, base: Simulation, basis: Array) -> SecondOrder | None:
