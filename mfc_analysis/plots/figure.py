@@ -279,15 +279,25 @@ def _letters(room: float, count: int) -> int:
     return int((room - 0.32 * count) / 0.065)
 
 
+def logarithmic(ax: Axes, which: str) -> None:
+    """Makes the axes ``which`` ("x", "y" or "xy") logarithmic, with labels at decades only, as ``decade`` writes them."""
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
+    for name in which:
+        ax.set(**{f"{name}scale": "log"})
+        axis = getattr(ax, f"{name}axis")
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(FuncFormatter(lambda value, _: decade(value)))
+
+
 def log_grid(ax: Axes, low: float, high: float) -> None:
     """A logarithmic frequency axis with its minor grid as one collection of lines, half the bytes of minor ticks."""
     import numpy as np
-    from matplotlib.ticker import LogLocator, NullLocator
+    from matplotlib.ticker import LogLocator
 
-    ax.set_xscale("log")
+    logarithmic(ax, "x")
     ax.set_xlim(low, high)
     ax.xaxis.set_major_locator(LogLocator(10, numticks=8))
-    ax.xaxis.set_minor_locator(NullLocator())
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
     places = np.outer(decades, np.arange(2, 10)).ravel()
     places = places[(places > low) & (places < high)]
@@ -318,7 +328,7 @@ def empty(ax: Axes, text: str, color: str = INK) -> None:
 
 
 def decade(value: float) -> str:
-    """A tick label on a log-symmetric axis: plain to 1000, a power of ten beyond."""
+    """A tick label on a logarithmic or log-symmetric axis: plain to 1000, a power of ten beyond."""
     size = abs(value)
     if size == 0.0 or 1e-3 <= size < 2e3:
         return written(value, 4)

@@ -49,14 +49,7 @@ def stability_map(
     ax.contourf(across, up, flat, levels=[-2 * bound, 0.0, 2 * bound], colors=[_STABLE, _UNSTABLE])
     if flat.min() < 0 < flat.max():
         ax.contour(across, up, flat, levels=[0.0], colors=[sheet.INK], linewidths=1.2)
-    from matplotlib.ticker import NullLocator
-
-    if "x" in log:
-        ax.set_xscale("log")
-        ax.xaxis.set_minor_locator(NullLocator())
-    if "y" in log:
-        ax.set_yscale("log")
-        ax.yaxis.set_minor_locator(NullLocator())
+    sheet.logarithmic(ax, log)
     ax.set_xlim(across[0], across[-1])
     ax.set_ylim(up[0], up[-1])
     _mark(ax, points)

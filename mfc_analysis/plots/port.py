@@ -30,15 +30,14 @@ def admittance(
         Y = np.asarray(values, complex)[order]
         upper.plot(w, np.where(Y == 0, np.nan, np.abs(Y)), color=sheet.colour(j), linewidth=1.3, label=name)
         lower.plot(w, np.degrees(np.angle(Y)), color=sheet.colour(j), linewidth=1.3)
-    from matplotlib.ticker import MultipleLocator, NullLocator
+    from matplotlib.ticker import MultipleLocator
 
     for ax in (upper, lower):
         if w.size > 1 and w[-1] > w[0]:
             sheet.log_grid(ax, w[0], w[-1])
         else:
-            ax.set_xscale("log")
-    upper.set_yscale("log")
-    upper.yaxis.set_minor_locator(NullLocator())
+            sheet.logarithmic(ax, "x")
+    sheet.logarithmic(upper, "y")
     lower.set_ylim(-195, 195)
     lower.yaxis.set_major_locator(MultipleLocator(90))
     for angle in (90, -90):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -97,16 +97,8 @@ def _draw(ax: Axes, time: np.ndarray, panel: Panel, names: Sequence[str], first:
     if panel.limit is not None and np.isfinite(panel.limit):
         for side in (1, -1) if np.nanmin(values) < 0 < np.nanmax(values) else (1,):
             ax.axhline(side * panel.limit, color=sheet.LIMIT, linewidth=1.0, linestyle="--", zorder=1.5)
-    if panel.log:
-        ax.set_yscale("log")
-        ax.yaxis.set_minor_locator(_none())
+    sheet.logarithmic(ax, "y" if panel.log else "")
     sheet.label(ax, "", panel.quantity)
-
-
-def _none() -> Any:
-    from matplotlib.ticker import NullLocator
-
-    return NullLocator()
 
 
 def curves(
@@ -130,12 +122,7 @@ def curves(
     at = np.asarray(x, float)
     for j, (name, y) in enumerate(series):
         ax.plot(at, np.asarray(y, float), color=sheet.colour(j), linewidth=1.3, label=name)
-    if "x" in log:
-        ax.set_xscale("log")
-        ax.xaxis.set_minor_locator(_none())
-    if "y" in log:
-        ax.set_yscale("log")
-        ax.yaxis.set_minor_locator(_none())
+    sheet.logarithmic(ax, log)
     if limit is not None and np.isfinite(limit):
         ax.axhline(limit, color=sheet.LIMIT, linewidth=1.0, linestyle="--")
     sheet.label(ax, xlabel, ylabel, title)

@@ -183,3 +183,14 @@ def test_labels_of_a_logarithmic_axis_are_text_of_the_font(value, said):
     assert sheet.decade(value) == said
     font = FT2Font(fontManager.findfont("DejaVu Sans"))
     assert all(font.get_char_index(ord(c)) for c in said)
+
+
+def test_labels_of_logarithmic_axes_are_no_formulas():
+    ax = sheet.axes_for("map")
+    ax.plot([1e-4, 1e5], [0.02, 300.0])
+    sheet.logarithmic(ax, "xy")
+    ax.set(xlim=(1e-4, 1e5), ylim=(0.02, 300.0))
+    svg = sheet.svg(ax)
+    assert all(f">{label}</text>" in svg for label in ("10⁻⁴", "0.01", "1", "100", "10⁴", "0.1", "10"))
+    assert "tspan" not in svg
+    assert not ax.get_xticks(minor=True).size and not ax.get_yticks(minor=True).size
