@@ -73,16 +73,19 @@ def stability(system: OpenSystem, known: Spectrum | None = None) -> Stability:
     return Stability(good & ~drifts, np.asarray(slow, np.int64), drifts, good, np.asarray(held, bool), idle, roots, motion, walks, horizon)
 
 
-def roots(system: OpenSystem, count: int | None = None, known: Spectrum | None = None) -> tuple[Complex, Bools]:
+def roots(
+    system: OpenSystem, count: int | None = None, known: Spectrum | None = None, verdict: Stability | None = None
+) -> tuple[Complex, Bools]:  # fmt: skip
     """Roots [1/s] at each point and which of them are slow, (m, k) each: every pole (a sampled loop: ln(z) / dt), slowest first; with dead time
     the rightmost exact roots, rightmost first: ``count`` of them (default: the number of states) and as many more as there are slow ones.
 
-    ``known``: the spectrum of the system, if already computed. Raises ``NotConverged`` as ``stability``.
+    ``known``, ``verdict``: the spectrum of the system and its verdict, if already computed. Raises ``NotConverged`` as ``stability``.
     """
     if not system.delayed:
         known = spectrum(system) if known is None else known
         return known.rates, known.slow
-    found = delay_roots(system, (count or system.nx) + int(stability(system).slow.max(initial=0)))
+    verdict = stability(system) if verdict is None else verdict
+    found = delay_roots(system, (count or system.nx) + int(verdict.slow.max(initial=0)), verdict.slow_roots)
     return found, np.abs(found) < system.radius
 
 

@@ -39,7 +39,7 @@ class OpenSystem:
     output_names: tuple[str, ...]  #: ny external outputs
     wires: Mapping[str, slice]  #: point name -> its wires among the nw, e.g. {"torque": slice(0, 6), "position": slice(6, 12), "rate": slice(12, 18)}
     wire_names: tuple[str, ...]  #: nw names of the channels (joint names, or fx..mz)
-    wire_delay: Array  #: (nw,) [s] dead time on each wire
+    wire_delay: Array  #: (nw,) [s] dead time on each wire; (m, nw) of a loop over its dead time, for ``stability`` and ``roots`` alone
     points: tuple[str, ...]  #: analysis points a user may open ("rate" is the v that goes with "position" and is never opened alone)
     integrals: tuple[int, ...] = ()  #: states that are integrals of a controller (dropped where they act on nothing)
     plant_states: tuple[int, ...] = ()  #: states of the plant (the others belong to the controller)

@@ -71,12 +71,9 @@ def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0, *, horizo
     late = replace(loop, hardware=replace(hardware, delay=1.0))
     opened = late.linearize([time], horizon=horizon).opened
     where = opened.wires[late.equations.actuator]
-    out = np.empty(T.size)
-    for i, each in enumerate(T):
-        waits = opened.wire_delay.copy()
-        waits[where] = each
-        out[i] = growth(replace(opened, wire_delay=waits))[0]
-    return out
+    waits = np.tile(opened.wire_delay, (T.size, 1))
+    waits[:, where] = T[:, None]
+    return growth(replace(opened.at(np.zeros(T.size, np.int64)), wire_delay=waits))
 
 
 def delay_map(make_loop: Callable[[float], ClosedLoop], delays: ArrayLike, values: ArrayLike, *, horizon: float = HORIZON) -> DelayMap:

@@ -179,7 +179,8 @@ class Evidence:
     def roots(self) -> tuple[Complex, Bools]:
         """Roots [1/s] and which of them are slow, (m, k) each: the poles (a sampled loop: ln(z)/dt), or with dead time the rightmost exact ones."""
         lin = self.linearization
-        return roots(lin.opened if lin.delay or lin.force_delay else lin.reduced, known=self.spectrum)
+        late = bool(lin.delay or lin.force_delay)
+        return roots(lin.opened, None, self.spectrum, self.stability) if late else roots(lin.reduced, known=self.spectrum)
 
     def implied_error(self) -> Found:
         """Steady displacement [rad, m] of the joints due to the residual: |A^-1 r| of the linear loop; 0: rounding error only.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import lambertw
@@ -28,6 +30,30 @@ def test_the_limit_is_a_quarter_turn_on_both_sides() -> None:
     limit = np.pi / 2 / 4.0
     below, above = over_delay(loop(4.0), [0.999 * limit, 1.001 * limit])
     assert below < 0 < above
+
+
+def test_dead_times_judged_together_are_those_of_loops_of_their_own() -> None:
+    """A force loop whose sensor is late too, by as much as one of the dead times of the actuators."""
+    law = mfc.laws.DampedForcePI([0, 0, 10, 0, 0, 0], 1.0, 5.0, 20.0)
+    wall, hardware = mfc.Environment(1e3, 5.0, preload=10.0), mfc.Hardware(torque_lag=2e-3, force_delay=5e-3)
+    pressing = mfc.ClosedLoop(mfc.robots.slider(1.0), law, mfc.trajectories.Hold([0.0]), environment=wall, hardware=hardware)
+    delays = [1e-3, 5e-3, 0.03]
+    alone = [replace(pressing, hardware=replace(hardware, delay=T)).linearize([0.0]) for T in delays]
+    rightmost = [max(s.real for s in lin.delay_roots(12)[0] if abs(s) > 0.01) for lin in alone]
+    assert over_delay(pressing, delays) == pytest.approx(rightmost, rel=1e-9)
+    assert [bool(lin.stability.nonzero_stable[0]) for lin in alone] == [g < 0 for g in rightmost]
+
+
+def test_one_verdict_for_all_dead_times_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mfc_analysis.analysis import stability
+    from mfc_analysis.analysis.delay import roots
+
+    asked: list[int] = []
+    for module in (stability, roots):
+        true = module.delayed_verdicts
+        monkeypatch.setattr(module, "delayed_verdicts", lambda system, known, true=true: asked.append(len(system.A)) or true(system, known))
+    assert (over_delay(loop(4.0), [0.1, 0.2, 0.5]) < 0).tolist() == [True, True, False]  # k T is below a quarter turn
+    assert asked == [3]
 
 
 def test_a_map_scales_with_the_gain() -> None:

@@ -96,8 +96,8 @@ def _first(s: Complex) -> Ints:
 
 def stacked(points: Sequence[Delayed]) -> Stacked:
     """Points of one loop, evaluated together."""
-    A, B, C, D = (np.stack([getattr(point, name) for point in points]) for name in ("A", "B", "C", "D"))
-    return Stacked(A, B, C, D, points[0].T, points[0].dt)
+    A, B, C, D, T = (np.stack([getattr(point, name) for point in points]) for name in ("A", "B", "C", "D", "T"))
+    return Stacked(A, B, C, D, T, points[0].dt)
 
 
 def in_a_loop(points: Stacked) -> Bools:
@@ -118,19 +118,20 @@ def in_a_loop(points: Stacked) -> Bools:
     left = np.flatnonzero(~found)
     G, least, found[left] = seen(left, many)
     for i, one in zip(left, range(left.size), strict=True):
-        closed = np.linalg.matrix_power(G[one].any(axis=0).astype(float), len(points.T)).any()  # else a chain that no wire closes
+        closed = np.linalg.matrix_power(G[one].any(axis=0).astype(float), points.T.shape[1]).any()  # else a chain that no wire closes
         found[i] |= bool(closed and perron(G[one]).max(initial=0.0) >= least[one])
     return found
 
 
 def delayed_points(system: OpenSystem) -> list[Delayed]:
     """Each point of the loop with the delayed wires cut."""
-    late = system.wire_delay > 0
+    T = np.broadcast_to(system.wire_delay, (len(system.A), system.nw))
+    late = np.asarray(T.any(axis=0))
     A, B, C, D = close_wires(system, keep=late)
     (balance,) = get_lapack_funcs(("gebal",), (A,))
     points = []
     for i in range(len(A)):
         a, b, c = A[i], B[i][:, system.nu :], C[i][system.ny :]
         balanced, _, _, scale, _ = balance(a, scale=1, permute=0)
-        points.append(Delayed(balanced, b / scale[:, None], c * scale, D[i][system.ny :, system.nu :], system.wire_delay[late], scale, system.dt))
+        points.append(Delayed(balanced, b / scale[:, None], c * scale, D[i][system.ny :, system.nu :], T[i, late], scale, system.dt))
     return points

@@ -10,6 +10,7 @@ matrix); Ruhe, "Algorithms for the nonlinear eigenvalue problem", SIAM J. Numer.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -28,10 +29,11 @@ MOST_ROOTS = 10_000  #: roots asked for
 MOST_SIZE = 600  #: of the collocated matrix
 
 
-def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
+def delay_roots(system: OpenSystem, count: int = 6, slow: Sequence[Complex] | None = None) -> Complex:
     """The (m, count) rightmost characteristic roots [rad/s] of the closed loop with its dead time, rightmost first.
 
     Integrals that act on nothing are left out. Where there are fewer roots (dead time outside every loop) the others are -inf.
+    ``slow``: the slow roots at each point [1/s], those of the verdict, if already known.
     Raises ``Unsupported`` for a sampled loop, whose dead time is in its poles, ``BadArgument``, and ``NotConverged`` as ``stability``.
     """
     if system.dt:
@@ -44,9 +46,10 @@ def delay_roots(system: OpenSystem, count: int = 6) -> Complex:
         order = np.lexsort((-found.imag, np.abs(found.imag), -found.real), axis=1)[:, :count]
         out[:, : order.shape[1]] = np.take_along_axis(found, order, 1)
         return out
-    verdicts = delayed_verdicts(system, spectrum(system))
-    for i, (point, verdict) in enumerate(zip(delayed_points(system), verdicts, strict=True)):
-        roots = _ordered(np.concatenate([verdict.slow_roots, rightmost(point, count, system.radius)]))[:count]
+    if slow is None:
+        slow = [verdict.slow_roots for verdict in delayed_verdicts(system, spectrum(system))]
+    for i, (point, some) in enumerate(zip(delayed_points(system), slow, strict=True)):
+        roots = _ordered(np.concatenate([some, rightmost(point, count, system.radius)]))[:count]
         out[i, : roots.size] = roots
     return out
 

@@ -33,14 +33,14 @@ class Stacked:
     B: Array  #: (m, nx, nd)
     C: Array  #: (m, nd, nx)
     D: Array  #: (m, nd, nd)
-    T: Array  #: (nd,) [s] > 0
+    T: Array  #: (m, nd) [s] > 0; those that are equal at one point are equal at all
     dt: float = 0.0  #: [s] 0: continuous
 
     def some(self, index: Ints) -> Stacked:
         """The points ``index`` (p,), in increasing order."""
         if len(index) == len(self.A):
             return self
-        return Stacked(self.A[index], self.B[index], self.C[index], self.D[index], self.T, self.dt)
+        return Stacked(self.A[index], self.B[index], self.C[index], self.D[index], self.T[index], self.dt)
 
     @cached_property
     def open_poles(self) -> Complex:
@@ -50,7 +50,7 @@ class Stacked:
     @cached_property
     def closed_poles(self) -> Complex:
         """(m, nx) poles of the loop without dead time."""
-        back = np.linalg.solve(np.eye(len(self.T)) - self.D, self.C) if self.D.any() else self.C
+        back = np.linalg.solve(np.eye(self.T.shape[1]) - self.D, self.C) if self.D.any() else self.C
         return np.linalg.eigvals(self.A + self.B @ back).astype(np.complex128)
 
     @cached_property
@@ -58,12 +58,12 @@ class Stacked:
         """[rad/s] (m, 2 nx + nd) the poles with and without dead time in the s plane, and 1/T: where f has features. NaN: none (a pole at 0)."""
         s = rates(np.concatenate([self.open_poles, self.closed_poles], axis=1), self.dt)
         s = np.where(np.isfinite(s) & (s != 0), s, np.nan)
-        return np.asarray(np.concatenate([s, np.broadcast_to(1 / self.T, (len(s), len(self.T)))], axis=1), np.complex128)
+        return np.asarray(np.concatenate([s, 1 / self.T], axis=1), np.complex128)
 
     @cached_property
     def one_delay(self) -> bool:
-        """True where all dead times are equal: E is then a number."""
-        return bool(np.ptp(self.T) <= 1e-12 * self.T.max())
+        """True where all dead times of a point are equal: E is then a number."""
+        return bool((np.ptp(self.T, axis=1) <= 1e-12 * self.T.max(axis=1)).all())
 
     @cached_property
     def _condensed(self) -> tuple[Array, Array, Array]:
@@ -91,24 +91,24 @@ class Stacked:
 
     @cached_property
     def _characteristic(self) -> tuple[Array, Array, Array]:
-        """The different dead times T (u,), P (m, (u + 1) (d + 1), q q) and o (m,) of f = o det F, o = 1 or -1.
+        """The different dead times T (m, u), P (m, (u + 1) (d + 1), q q) and o (m,) of f = o det F, o = 1 or -1.
 
         F = [[M, -B], [-E N, I - E D]], without a direct term M - B E N, is the sum of P with the factors z^0 .. z^d and e^(-s T_j) z^0 .. z^d.
         """
         M, N, B = self._condensed
-        kinds = np.unique(self.T)
+        kinds, kind = np.unique(self.T, axis=1, return_inverse=True)
         r, direct = M.shape[2], bool(self.D.any())
-        q = r + len(self.T) if direct else r
-        P = np.zeros((len(kinds) + 1, len(M), len(self.A), q, q))
+        q = r + self.T.shape[1] if direct else r
+        P = np.zeros((kinds.shape[1] + 1, len(M), len(self.A), q, q))
         P[0, :, :, :r, :r] = M
-        for j, kind in enumerate(kinds, start=1):
-            late = (kind == self.T).astype(float)
+        for j in range(1, len(P)):
+            late = (np.ravel(kind) == j - 1).astype(float)
             if direct:
                 P[j, :, :, r:, :r], P[j, 0, :, r:, r:] = -late[:, None] * N, -late[:, None] * self.D
             else:
                 P[j] = -B @ (late[:, None] * N)
         if direct:
-            P[0, 0, :, :r, r:], P[0, 0, :, r:, r:] = -B, np.eye(len(self.T))
+            P[0, 0, :, :r, r:], P[0, 0, :, r:, r:] = -B, np.eye(self.T.shape[1])
         beyond = 10 * (1 + np.abs(self.open_poles).max(axis=1, initial=0.0))  # det(zI - A) is above zero there
         sign = np.linalg.slogdet(_polynomial(M, np.arange(len(self.A)), beyond.astype(np.complex128)))[0].real
         return kinds, np.swapaxes(P.reshape(-1, len(self.A), q * q), 0, 1).copy(), np.where(sign < 0, -1.0, 1.0)
@@ -120,9 +120,9 @@ class Stacked:
         z = np.asarray(np.exp(s * self.dt), np.complex128)
         return z, np.asarray(self.dt * z)
 
-    def late(self, s: Complex) -> Complex:
+    def late(self, at: Ints, s: Complex) -> Complex:
         """(k, nd, 1) E = e^(-s T) at s (k,)."""
-        return np.asarray(np.exp(-s[:, None] * self.T)[:, :, None], np.complex128)
+        return np.asarray(np.exp(-s[:, None] * self.T[at])[:, :, None], np.complex128)
 
     def gain(self, at: Ints, s: Complex) -> Complex:
         """G (k, nd, nd) at s (k,); where z lies on a pole of G, beside it on the unstable side."""
@@ -141,14 +141,14 @@ class Stacked:
         return _polynomial(M, at, z), _polynomial(N, at, z), B[at].astype(np.complex128)
 
     def _chunks(self, size: int) -> Iterator[slice]:
-        r = max(self._condensed[0].shape[2], len(self.T), 1)
+        r = max(self._condensed[0].shape[2], self.T.shape[1], 1)
         step = max(1, CHUNK // (r * r))
         return (slice(k, k + step) for k in range(0, size, step))
 
     def loop(self, at: Ints, s: Complex) -> Complex:
         """E G (k, nd, nd) at s (k,)."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(self.late(s) * self.gain(at, s))
+            return np.asarray(self.late(at, s) * self.gain(at, s))
 
     def value(self, at: Ints, s: Complex, poles: Complex) -> tuple[Array, Complex]:
         """Of g = f / prod(s - poles) at s (k,): its phase [rad] modulo a turn and (dg/ds) / g, each (k,). ``poles``: (m, p)."""
@@ -161,11 +161,12 @@ class Stacked:
     def _value(self, at: Ints, s: Complex, poles: Complex) -> tuple[Array, Complex]:
         kinds, P, sign = self._characteristic
         z, slope = self.z(s)
-        power = np.arange(P.shape[1] // (len(kinds) + 1))
-        late = np.concatenate([np.ones((s.size, 1)), np.exp(-s[:, None] * kinds)], axis=1)[:, :, None]
+        T = np.concatenate([np.zeros((len(kinds), 1)), kinds], axis=1)[at]
+        power = np.arange(P.shape[1] // T.shape[1])
+        late = np.exp(-s[:, None] * T)[:, :, None]
         powers = z[:, None] ** power
         slopes = slope[:, None] * power * np.concatenate([np.zeros((s.size, 1)), powers[:, :-1]], axis=1)
-        raised = slopes[:, None] - np.concatenate([[0.0], kinds])[:, None] * powers[:, None]
+        raised = slopes[:, None] - T[:, :, None] * powers[:, None]
         factors = np.stack([late * powers[:, None], late * raised], axis=1).reshape(s.size, 2, -1)
         q = round(P.shape[2] ** 0.5)
         F, dF = np.moveaxis(times_own(factors, P, at).reshape(s.size, 2, q, q), 1, 0)
@@ -178,14 +179,14 @@ class Stacked:
 
     def matrix(self, at: Ints, s: Complex) -> tuple[Complex, Complex]:
         """The characteristic matrix M (k, nx + nd, nx + nd) at s (k,), with det M = f, and its derivative."""
-        nx, nd = self.A.shape[-1], len(self.T)
+        nx, nd = self.A.shape[-1], self.T.shape[1]
         z, dz = self.z(s)
-        E, C, D = self.late(s), self.C[at], self.D[at]
+        E, C, D = self.late(at, s), self.C[at], self.D[at]
         M = np.zeros((s.size, nx + nd, nx + nd), np.complex128)
         slope = np.zeros_like(M)
         M[:, :nx, :nx], M[:, :nx, nx:] = z[:, None, None] * np.eye(nx) - self.A[at], -self.B[at]
         M[:, nx:, :nx], M[:, nx:, nx:] = -E * C, np.eye(nd) - E * D
-        late = self.T[:, None] * E
+        late = self.T[at, :, None] * E
         slope[:, :nx, :nx] = dz[:, None, None] * np.eye(nx)
         slope[:, nx:, :nx], slope[:, nx:, nx:] = late * C, late * D
         return M, slope
