@@ -115,15 +115,14 @@ def contact(surfaces: Sequence[Environment], model: Primitives, q: Vector, v: Ve
     """F_tip of all surfaces at (q, v), plain or dual. With axes given as touched the equations have no jump: those between two events."""
     X = model.pose(q)
     V = model.jacobian(q, v)
-    wrench: Vector = np.zeros((*X.p.shape[:-1], 6))
-    forces, elastic = [], []
+    found = []
     for i, surface in enumerate(surfaces):
         lose = surface.one_sided and (lose_contact if isinstance(lose_contact, bool) else lose_contact[i])
-        part, force, pressed = _press(surface, X, V, lose)
-        wrench = wrench + part if isinstance(part, Dual) else part + wrench
-        forces.append(force)
-        elastic.append(pressed)
-    return Contact(wrench, tuple(forces), tuple(elastic))
+        found.append(_press(surface, X, V, lose))
+    wrench = found[0][0]
+    for part, _, _ in found[1:]:
+        wrench = wrench + part
+    return Contact(wrench, tuple(force for _, force, _ in found), tuple(pressed for _, _, pressed in found))
 
 
 def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool | Bools) -> tuple[Vector, Vector, Array]:
@@ -137,23 +136,26 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool | Bools)
     K, B = surface.K[:size, :size], surface.B[:size, :size]
     C = Re.T @ X.R  # from the tool to the compliance frame
     Ct = np.swapaxes(C, -1, -2)
-    v, w = value(V)[..., :3], value(V)[..., 3:]
+    twist = value(V)
+    v, w = twist[..., :3], twist[..., 3:]
     depth, rate = (X.p - pe) @ Re, times(C, v)
-    angle, J = np.zeros_like(w), np.eye(3)
+    angle = J = moment = np.zeros(w.shape)
     if size == 6:
         angle = rotation_vector(C)
         J = Jlog3(angle)
         depth, rate = np.concatenate([depth, angle], axis=-1), np.concatenate([rate, times(J, w)], axis=-1)
     elastic = depth @ K + surface.f0[:size]
-    f = elastic + rate @ B
-    pushes = np.ones(f.shape)
+    f, pushes = elastic + rate @ B, np.ones(1)
     if lose_contact is not False:
         touched = elastic > 0 if lose_contact is True else np.asarray(lose_contact)[:size]
         pushes = np.where((f > 0) & touched, 1.0, 0.0)
         f = f * pushes
-    g, moment = times(Ct, f[..., :3]), times(np.swapaxes(J, -1, -2), f[..., 3:]) if size == 6 else angle
-    rest = np.zeros((*f.shape[:-1], 6 - size))
-    wrench, force, elastic = (np.concatenate(parts, axis=-1) for parts in ([g, moment], [f, rest], [elastic, rest]))
+    g, force = times(Ct, f[..., :3]), f
+    if size == 6:
+        moment = times(np.swapaxes(J, -1, -2), f[..., 3:])
+    else:
+        force, elastic = np.concatenate([f, moment], axis=-1), np.concatenate([elastic, moment], axis=-1)
+    wrench = np.concatenate([g, moment], axis=-1)
     if X.twist is None:
         return wrench, force, elastic
     linear, turn = X.twist[..., :3, :], X.twist[..., 3:, :]

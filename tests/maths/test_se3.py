@@ -162,6 +162,8 @@ def test_one_pose_gives_what_a_batch_gives(angle: float) -> None:
     assert_allclose(one.adjoint(W), batch.adjoint(W[None])[0], atol=1e-14)
     assert_allclose(one.adjoint(W), se3.adjoint(X) @ W, atol=1e-14)
     assert_allclose(one.log(), batch.log()[0], rtol=1e-12, atol=1e-15)
+    assert_allclose(se3.rotation_vector(one.R), se3.rotation_vector(batch.R)[0], rtol=1e-12, atol=1e-15)
+    assert_allclose(se3.Jlog3(V[3:]), se3.Jlog3(V[None, 3:])[0], rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("short", [0.9e-3, 1.1e-3])
@@ -173,6 +175,16 @@ def test_one_pose_near_pi_is_refused_as_in_a_batch(short: float) -> None:
                 pose.log()
         else:
             assert np.isfinite(pose.log()).all()
+
+
+def test_a_turn_by_pi_exactly_is_refused_alone_as_in_a_batch() -> None:
+    """Its sine is 0: the angle is not the length of the logarithm."""
+    turned = np.diag([1.0, -1.0, -1.0, 1.0])
+    for X in (turned, turned[None]):
+        with pytest.raises(NearPi):
+            Pose.of(X).log()
+        with pytest.raises(NearPi):
+            se3.rotation_vector(X[..., :3, :3])
 
 
 @pytest.mark.parametrize("angle", [*ANGLES, 2.5, np.pi - 1e-3])
