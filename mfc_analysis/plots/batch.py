@@ -22,6 +22,7 @@ from signal import SIGTERM
 from subprocess import PIPE, Popen
 from typing import Any, TypeVar
 
+from mfc_analysis.maths.garbage import rare_collections
 from mfc_analysis.maths.threads import THREADS
 
 Made = TypeVar("Made")
@@ -178,7 +179,7 @@ def serve() -> None:
     while True:
         task = arrived.get()
         try:
-            with warnings.catch_warnings(record=True) as said:
+            with warnings.catch_warnings(record=True) as said, rare_collections():
                 warnings.simplefilter("always")
                 answer = pickle.dumps((pickle.loads(task)(), said))
         except Exception:  # any error of a task: the first process does the task again, and raises it

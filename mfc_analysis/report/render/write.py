@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths import checks, files
+from mfc_analysis.maths.garbage import rare_collections
 from mfc_analysis.report.document.document import Document
 
 if TYPE_CHECKING:
@@ -42,7 +43,8 @@ def render(
     target = checks.path("folder", folder, "a folder to write into")
     if target.exists() and not target.is_dir():
         raise BadArgument("folder", str(folder), "a folder to write into")
-    pages = rendered(document, formats, timestamp=timestamp, progress=progress)
+    with rare_collections():
+        pages = rendered(document, formats, timestamp=timestamp, progress=progress)
     target.mkdir(parents=True, exist_ok=True)
     name = slug(document.name)
     out = {}
