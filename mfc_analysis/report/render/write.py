@@ -56,6 +56,8 @@ def render(
 
 def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp: int = 0, progress: Progress | None = None) -> dict[str, bytes]:
     """The bytes of each format, in the given order. Arguments as ``render``."""
+    from concurrent.futures import ThreadPoolExecutor
+
     from mfc_analysis.report.document.tree import tree
     from mfc_analysis.report.render.numbers import numbers, to_json
 
@@ -72,21 +74,26 @@ def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp:
 
         drawings = dict(zip(flat.figures, drawn([f.draw for f in flat.figures.values()], progress=count), strict=True))
         moving = {key: scrubber.moving(s) for key, s in flat.scrubbers.items()}
-    out: dict[str, bytes] = {}
-    for kind in formats:
+
+    def content(kind: str) -> bytes:
         if kind == "html":
             from mfc_analysis.report.render.html import html
             from mfc_analysis.report.render.mathml import mathml
 
-            out[kind] = html(flat, drawings, mathml(flat.equations), moving, version).encode("utf-8")
-        elif kind == "pdf":
+            return html(flat, drawings, mathml(flat.equations), moving, version).encode("utf-8")
+        if kind == "pdf":
             from mfc_analysis.report.render.pdf import pdf
 
-            out[kind] = pdf(flat, drawings, moving, version, timestamp)
-        else:
-            out[kind] = to_json(numbers(document, flat, version)).encode("utf-8")
-        count(1)
-    return out
+            return pdf(flat, drawings, moving, version, timestamp)
+        return to_json(numbers(document, flat, version)).encode("utf-8")
+
+    out: dict[str, bytes] = {}
+    with ThreadPoolExecutor(1) as beside:  # Typst needs no lock of Python: the other formats are made at the same time
+        printed = beside.submit(content, "pdf") if "pdf" in formats else None
+        for kind in sorted(formats, key="pdf".__eq__):
+            out[kind] = content(kind) if kind != "pdf" or printed is None else printed.result()
+            count(1)
+    return {kind: out[kind] for kind in formats}
 
 
 class _Count:

@@ -67,3 +67,17 @@ def test_anything_becomes_plain_json(value):
 def test_a_nan_that_slipped_through_is_an_error_and_not_written():
     with pytest.raises(ValueError, match="JSON"):
         to_json({"x": float("nan")})
+
+
+def test_the_pdf_is_made_while_the_html_is(monkeypatch, tmp_path):
+    import threading
+
+    from mfc_analysis.report.render import html, pdf
+
+    printing, overlapped = threading.Event(), []
+    monkeypatch.setattr(pdf, "pdf", lambda *given: printing.set() or b"printed")
+    monkeypatch.setattr(html, "html", lambda *given: overlapped.append(printing.wait(5.0)) or "page")
+    found = render(samples.document(), tmp_path, ("html", "pdf", "json"))
+    assert overlapped == [True]
+    assert list(found) == ["html", "pdf", "json"]
+    assert [found[kind].read_bytes() for kind in ("pdf", "html")] == [b"printed", b"page"]
