@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,13 +15,24 @@ from mfc_analysis.report.document.document import Block, Cell, Column, Figure, M
 from mfc_analysis.report.loops.view import View
 from mfc_analysis.robots.coupling import relative_gain
 
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.margins import Margins
+    from mfc_analysis.linearization.decentralised import Decentralised
+
+
+@lru_cache(maxsize=1)
+def _alone(view: View) -> tuple[Decentralised, Margins]:
+    """The loop joint by joint, and the margins of the joints."""
+    alone = view.lin.decentralised()
+    return alone, alone.margins()
+
 
 def price(view: View) -> str:
     """The effect of coupling on the rightmost pole and on the phase margin that changes most, as text."""
-    alone = view.lin.decentralised()
+    alone, margins = _alone(view)
     designed, real = float(alone.poles().real.max()), view.evidence.slowest_root().value
     slower = f"the rightmost pole moves from {written(designed)} to {written(real)} 1/s"
-    change = view.margins.phase_deg - alone.margins().phase_deg
+    change = view.margins.phase_deg - margins.phase_deg
     if not view.stable or not np.isfinite(change).any():
         return slower
     j = int(np.unravel_index(int(np.nanargmin(change)), change.shape)[1])
@@ -35,9 +47,9 @@ def price(view: View) -> str:
 
 def coupling_words(view: View) -> str:
     """The effect of coupling in a sentence: each joint alone, and the whole arm."""
-    alone = view.lin.decentralised()
+    alone, margins = _alone(view)
     designed, real = float(alone.poles().real.max()), view.evidence.slowest_root().value
-    low = float(alone.margins().phase_deg.min()) if alone.stable.all() else float("nan")
+    low = float(margins.phase_deg.min()) if alone.stable.all() else float("nan")
     if not view.stable:
         return (
             f"Each joint alone is {'stable' if alone.stable.all() else 'unstable'} with its rightmost pole at {written(designed)} 1/s; coupled, the"
@@ -54,10 +66,10 @@ def coupling_words(view: View) -> str:
 
 def coupling_numbers(view: View) -> dict[str, object]:
     """The same for the JSON: poles and phase margins of the joints alone and coupled, relative gains."""
-    alone = view.lin.decentralised()
+    alone, margins = _alone(view)
     return {
         "decentralised_poles": alone.poles()[view.worst.row],
-        "decentralised_phase_deg": alone.margins().phase_deg.min(axis=0),
+        "decentralised_phase_deg": margins.phase_deg.min(axis=0),
         "coupled_phase_deg": view.margins.phase_deg.min(axis=0),
         "relative_gain": _gain_along(view).max(axis=0),
     }
@@ -65,7 +77,7 @@ def coupling_numbers(view: View) -> dict[str, object]:
 
 def coupling_table(view: View) -> Table:
     """Each joint's smallest margins along the path, in the decentralised design and in the coupled arm."""
-    alone, m = view.lin.decentralised().margins(), view.margins
+    alone, m = _alone(view)[1], view.margins
     gain = _gain_along(view)
     rows: list[tuple[Cell, ...]] = []
     for j, name in enumerate(without_affixes(m.channels)):
@@ -105,7 +117,7 @@ def _gain_along(view: View) -> Array:
 def coupling_figures(view: View) -> tuple[Block, ...]:
     """The coupling of M(q) along the path, and phase margins alone and coupled."""
     gain, names = _gain_along(view), view.margins.channels
-    alone = view.lin.decentralised().margins()
+    alone = _alone(view)[1]
     i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
     said = f"largest {written(float(gain[i, j]))} ({names[j]}, t = {written(float(view.times[i]), exact=True)} s)"
     panels = [plots.Panel("relative gain [-]", gain)]

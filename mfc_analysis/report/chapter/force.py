@@ -13,7 +13,7 @@ from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.laws.force import ForceLaw
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
-from mfc_analysis.report.chapter.pieces import agreement, at_most, in_words, pole_map, poles_table, response, validated
+from mfc_analysis.report.chapter.pieces import agreement, at_most, in_words, margins_at, pole_map, poles_table, response, validated
 from mfc_analysis.report.chapter.smallest_margins import force_checks, force_facts, least, margin_numbers, tightest
 from mfc_analysis.report.document.document import (
     Cell,
@@ -316,7 +316,8 @@ def arm_section(full: bool = True) -> Section:
             )
         )
     lin = lins["9.23"]
-    t, j = lin.margins("torque"), int(np.argmin(lin.margins("torque").phase_deg[0]))
+    t = margins_at(lin, "torque")
+    j = int(np.argmin(t.phase_deg[0]))
     finding = (
         f"For the UR5 under 9.23 on 10 kN/m with a torque lag of 2 ms {tightest(lin)}; without damping (9.22) the same loop is "
         f"{in_words(bool(lins['9.22'].stable[0]), bool(lins['9.22'].drifts[0]))}."

@@ -15,7 +15,7 @@ from mfc_analysis.errors import MfcError
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import POSE, arm, arm_loop
-from mfc_analysis.report.chapter.pieces import LYNCH, agreement, at_least, at_most
+from mfc_analysis.report.chapter.pieces import LYNCH, agreement, at_least, at_most, margins_at
 from mfc_analysis.report.chapter.smallest_margins import least, smallest_numbers
 from mfc_analysis.report.document.document import Callout, Column, Equation, Fact, Figure, KeyFacts, Number, Paragraph, Row, Section, Table, written
 from mfc_analysis.report.loops.checks import checks as as_checks, everywhere
@@ -185,7 +185,7 @@ def disk_section() -> Section:
     """One loop at a time, all loops at once, and inputs and outputs together."""
     loop = loaded()
     lin = loop.linearize()
-    one, all_, both = lin.margins("torque"), lin.disk_margin("torque"), lin.disk_margin(("torque", "position"))
+    one, all_, both = margins_at(lin, "torque"), lin.disk_margin("torque"), lin.disk_margin(("torque", "position"))
     a, b = float(all_.alpha[0]), float(both.alpha[0])
     finding = (
         f"With one torque varied at a time, the loop tolerates {written(float(one.phase_deg.min()))}° of phase; with all six at once, "

@@ -17,7 +17,7 @@ from mfc_analysis.linearization.coupling import coupling, leak
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import CHOSEN, KFI, KFP, POSE, Z, arm, tiny
-from mfc_analysis.report.chapter.pieces import agreement, at_most, in_words, response, validated
+from mfc_analysis.report.chapter.pieces import agreement, at_most, in_words, margins_at, response, validated
 from mfc_analysis.report.chapter.smallest_margins import force_checks, least, margin_numbers, tightest
 from mfc_analysis.report.document.document import Block, Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, written
 from mfc_analysis.report.loops.points import smallest
@@ -76,7 +76,7 @@ def margins_section() -> Section:
     lins = {p: loop.linearize() for p, loop in loops.items()}
     rows = []
     for name, lin in lins.items():
-        for m in (lin.margins(point) for point in lin.opened.points):
+        for m in (margins_at(lin, point) for point in lin.opened.points):
             one = smallest([m])
             rows.append(
                 (
@@ -85,7 +85,7 @@ def margins_section() -> Section:
                 )
             )  # fmt: skip
     lin = lins["dynamic"]
-    c = lin.margins("command")
+    c = margins_at(lin, "command")
     finding = f"With a torque lag of 2 ms {tightest(lin)}; with the selection projection {tightest(lins['selection'])}."
     columns = (
         Column("Projection", numeric=False), Column("verdict", numeric=False), Column("analysis point", numeric=False),

@@ -258,7 +258,7 @@ def two_points(view: View) -> tuple[Block, ...]:
     """Margins of the loop opened at the torque and at the acceleration command."""
     if not view.stable:
         return ()
-    torque, command = view.margins, view.lin.margins("command")
+    torque, command = view.margins, next(m for m in view.every_margin if m.at == "command")
     rows: list[tuple[Cell, ...]] = []
     for name, m in (("torque", torque), ("command", command)):
         w = m.worst()
@@ -290,7 +290,7 @@ def two_points(view: View) -> tuple[Block, ...]:
 
 
 def _points_numbers(view: View) -> dict[str, object]:
-    command = view.lin.margins("command")
+    command = next(m for m in view.every_margin if m.at == "command")
     i = view.worst.row
     return {
         "command_phase_deg": command.phase_deg[i],

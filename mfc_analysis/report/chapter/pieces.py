@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from mfc_analysis.report.document.document import Cell, Column, Figure, Row, Tab
 from mfc_analysis.requirements.line import Line, Status
 
 if TYPE_CHECKING:
+    from mfc_analysis.analysis.margins import Margins
     from mfc_analysis.linearization.linearization import Linearization
     from mfc_analysis.loop import ClosedLoop
 
@@ -54,12 +55,18 @@ def in_words(stable: bool, drifts: bool = False) -> str:
     return "stable" if stable else "drifts" if drifts else "unstable"
 
 
+@lru_cache(maxsize=16)
+def margins_at(lin: Linearization, point: str) -> Margins:
+    """``lin.margins(point)``, once for all that a page says of them."""
+    return lin.margins(point)
+
+
 def response(lin: Linearization, at: str, channel: int, name: str, index: int = 0, span: tuple[float, float] = (1e-1, 1e4)) -> Row:
     """Bode and Nyquist figures of one channel of a linearised loop, with its margins marked."""
     w = np.geomspace(*span, 240)
     here = lin if len(lin) == 1 else lin.again(lin.times[[index]])
     L = here.frequency_response(w, at)[0, channel]
-    found = here.margins(at)
+    found = margins_at(here, at)
     known: dict[str, Any] = dict(of_channel(found, 0, channel))
     peak = float(found.sensitivity_peak[0, channel])
     said = (

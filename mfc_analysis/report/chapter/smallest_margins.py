@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from mfc_analysis.analysis.spectrum import rates
-from mfc_analysis.report.chapter.pieces import at_least, at_most, slowest
+from mfc_analysis.report.chapter.pieces import at_least, at_most, margins_at, slowest
 from mfc_analysis.report.document.document import Fact, KeyFacts, Number, written
 from mfc_analysis.report.loops.points import Smallest, smallest
 from mfc_analysis.report.loops.view import place_words
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def least(lin: Linearization) -> Mapping[str, Smallest]:
     """The smallest margins over all analysis points of a linearised loop."""
-    return smallest([lin.margins(point) for point in lin.opened.points])
+    return smallest([margins_at(lin, point) for point in lin.opened.points])
 
 
 def tightest(lin: Linearization) -> str:
@@ -50,7 +50,7 @@ def smallest_numbers(lin: Linearization) -> dict[str, object]:
 
 def margin_numbers(lin: Linearization) -> dict[str, object]:
     """The smallest margins over all analysis points with their places, and those at the force sensor's z, by name."""
-    m = lin.margins("force")
+    m = margins_at(lin, "force")
     names = ("phase_deg", "gain_increase", "gain_reduction", "delay", "sensitivity_peak", "crossover")
     return {
         **smallest_numbers(lin),

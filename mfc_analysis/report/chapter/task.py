@@ -14,7 +14,7 @@ from mfc_analysis.linearization.linearization import Linearization
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.report.chapter.force import POSE, arm, tiny
-from mfc_analysis.report.chapter.pieces import LYNCH, SICILIANO, at_most, in_words, poles_table, response, validated
+from mfc_analysis.report.chapter.pieces import LYNCH, SICILIANO, at_most, in_words, margins_at, poles_table, response, validated
 from mfc_analysis.report.chapter.smallest_margins import least, smallest_numbers, tightest
 from mfc_analysis.report.document.document import Column, Equation, Fact, Figure, KeyFacts, Math, Number, Paragraph, Section, Table, Text, written
 from mfc_analysis.report.loops.checks import checks as as_checks, everywhere
@@ -80,7 +80,7 @@ def velocity_section(full: bool = True) -> Section:
         figure,
         *((response(lin, "command", 0, "UR5, 9.5, vx", span=(1e-1, 1e2)),) if full else ()),
     )
-    m = lin.margins("command")
+    m = margins_at(lin, "command")
     proofs = (
         at_most("deviation from theory", 1e-6, 100 * away / float(np.abs(first).max()), "%", "error over time"),
         at_most("deviation from theory", 1e-6, float(np.abs(m.phase_deg[0] / 90 - 1).max()) * 100, "%", "phase margin 90°"),
@@ -267,7 +267,7 @@ def torque_section(full: bool = True) -> Section:
     real = ClosedLoop(arm().with_payload(2.0), law, path(), controller_model=arm(), q_start=POSE, hardware=Hardware(torque_lag=2e-3))
     lin = real.linearize(t)
     still = ClosedLoop(arm().with_payload(2.0), law, ToolHold(arm().pose(POSE)), controller_model=arm(), q_start=POSE)
-    at = {point: lin.margins(point) for point in lin.opened.points}
+    at = {point: margins_at(lin, point) for point in lin.opened.points}
     worst = {point: m.worst().phase_deg for point, m in at.items()}
     finding = (
         f"With an exact model the error polynomial is the design polynomial to the sixth power at all {len(t)} times. With an "

@@ -64,3 +64,13 @@ def test_a_diagonal_inertia_has_a_relative_gain_of_one_and_a_coupled_one_the_rat
     assert_allclose(coupling_numbers(independent())["relative_gain"], gain, rtol=1e-12)
     (figure,) = coupling_figures(independent())
     assert figure.draw.args[1][0].values.max() == pytest.approx(gain) and len(figure.draw.args[1]) == 2
+
+
+def test_a_page_takes_the_margins_of_the_joints_alone_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    one, other = independent(), independent(2.0)
+    kind, asked = type(one.lin.decentralised()), []
+    true = kind.margins
+    monkeypatch.setattr(kind, "margins", lambda self: asked.append(self) or true(self))
+    said = price(one), coupling_words(one), coupling_numbers(one), coupling_table(one), coupling_figures(one)
+    assert len(asked) == 1
+    assert coupling_words(other) != said[1]  # another loop has its own

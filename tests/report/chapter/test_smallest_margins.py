@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
@@ -39,3 +40,13 @@ def test_the_delay_margin_of_the_arm_is_that_of_the_torque_loop_that_breaks_firs
     line = next(x for x in force_checks(lin, 45.0, 6.0, 2.0) if x.name == "delay margin")
     assert line.found == 1e3 * late["value"] and line.where == "wrist_3_joint at “torque”"
     assert "5.28 ms (wrist_3_joint at “torque”)" in tightest(lin) and ", t = " not in tightest(lin)
+
+
+def test_what_a_page_says_of_one_loop_takes_its_margins_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    lin, other = (force.slider_loop(2e3, hardware=mfc.Hardware(torque_lag=lag)).linearize() for lag in (2e-3, 4e-3))
+    asked: list[str] = []
+    true = type(lin).margins
+    monkeypatch.setattr(type(lin), "margins", lambda self, at: asked.append(at) or true(self, at))
+    said = tightest(lin), force_facts(lin), margin_numbers(lin), force_checks(lin, 45.0, 6.0, 2.0)
+    assert sorted(asked) == sorted(lin.opened.points)
+    assert tightest(other) != said[0]  # another loop has its own
