@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.analysis.stability import growth
-from mfc_analysis.analysis.system import HORIZON
+from mfc_analysis.analysis.stability import growth, stability
+from mfc_analysis.analysis.system import HORIZON, OpenSystem
 from mfc_analysis.dynamics.hardware import LONGEST, SHORTEST, Hardware
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.loop import ClosedLoop
@@ -57,7 +58,7 @@ def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0, *, horizo
         loop: a continuous loop. delays: (d,) [s], 1e-9 to 1e9. time: [s] on the reference. horizon: [s] of the verdict: roots with
             abs(s) < 1/horizon are slow.
 
-    The dead time of the force sensor is kept. Raises BadArgument for other dead times, a horizon below 1e-6 s or
+    The dead times of the force sensor and of a servo are kept. Raises BadArgument for other dead times, a horizon below 1e-6 s or
     below a twentieth of a dead time, Unsupported for a sampled loop.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
@@ -68,12 +69,33 @@ def over_delay(loop: ClosedLoop, delays: ArrayLike, time: float = 0.0, *, horizo
     hardware = loop.hardware or Hardware()
     if hardware.sample_time is not None:
         raise Unsupported("hardware.sample_time", hardware.sample_time, "a continuous loop: the poles of a sampled loop include its dead time")
-    late = replace(loop, hardware=replace(hardware, delay=1.0))
-    opened = late.linearize([time], horizon=horizon).opened
-    where = opened.wires[late.equations.actuator]
-    waits = np.tile(opened.wire_delay, (T.size, 1))
-    waits[:, where] = T[:, None]
-    return growth(replace(opened.at(np.zeros(T.size, np.int64)), wire_delay=waits))
+    return growth(_late(loop, [time], horizon)(T))
+
+
+def stable_over_delay(loop: ClosedLoop, times: ArrayLike, horizon: float) -> Callable[[Sequence[float]], list[bool]]:
+    """Dead times [s] of the actuators, as in ``over_delay`` -> for each, whether all roots that are not slow are stable at all m ``times`` [s]."""
+    late = cache(lambda: _late(loop, times, horizon))
+
+    def judged(delays: Sequence[float]) -> list[bool]:
+        found = stability(late()(np.asarray(delays, float))).nonzero_stable.reshape(len(delays), -1)
+        return [bool(each.all()) for each in found]
+
+    return judged
+
+
+def _late(loop: ClosedLoop, times: ArrayLike, horizon: float) -> Callable[[Array], OpenSystem]:
+    """Dead times (d,) [s] of the actuators -> the loop with every wire cut at m ``times`` [s]: d m points, those of the first dead time first."""
+    hardware = loop.hardware or Hardware()
+    late, own = replace(loop, hardware=replace(hardware, delay=1.0)), replace(hardware, delay=None).command_delay
+    opened = late.linearize(times, horizon=horizon).opened
+    where, m = opened.wires[late.equations.actuator], len(opened.times)
+
+    def at(T: Array) -> OpenSystem:
+        waits = np.tile(opened.wire_delay, (T.size * m, 1))
+        waits[:, where] = np.repeat(T + own, m)[:, None]
+        return replace(opened.at(np.tile(np.arange(m), T.size)), wire_delay=waits)
+
+    return at
 
 
 def delay_map(make_loop: Callable[[float], ClosedLoop], delays: ArrayLike, values: ArrayLike, *, horizon: float = HORIZON) -> DelayMap:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mfc_analysis.analysis.system import HORIZON
+from mfc_analysis.design.dead_time import stable_over_delay
 from mfc_analysis.design.edges import Judge, requirement_limit
 from mfc_analysis.design.searches import CLOSE, WIDEST, Limit, Outcome, first_loss, scan, shown
 from mfc_analysis.design.worst_case import WorstCase, worst_case
@@ -36,6 +37,7 @@ MOST_IN_TRANSIT = 16  #: samples of dead time of the fastest sampling searched w
 HEAVIEST = 1e9  #: [kg] largest payload searched for
 USUAL_RATE = 1e5  #: [1/s] highest sample rate searched at first
 MOVING_TIMES = 21  #: times checked along a moving reference
+FEW_TIMES = 4  #: up to which dead times are judged together: a count of more points takes no less time for each
 
 
 def max_stiffness(
@@ -117,7 +119,12 @@ def max_delay(
     alone = linearize(later(0.0).equations, t, horizon=horizon).margins().delay
     first = alone[(alone > 0) & (alone < upper)]
     values = np.union1d(scan(1e-6 * upper, upper), first.min() * (1 + 0.4 * CLOSE * np.array([-1, 1])) if first.size else first)
-    return _limit(later, np.concatenate([[0.0], values]), t, horizon, "largest stable dead time", "s", progress, n_jobs)
+    every = None if hardware.sample_time or t.size > FEW_TIMES else stable_over_delay(loop, t, horizon)
+
+    def together(delays: Sequence[float]) -> list[bool] | None:
+        return None if every is None or min(delays) < SHORTEST else every(delays)
+
+    return _limit(later, np.concatenate([[0.0], values]), t, horizon, "largest stable dead time", "s", progress, n_jobs, together=together)
 
 
 def max_payload(
@@ -241,9 +248,9 @@ def stable(loop: ClosedLoop, times: ArrayLike, horizon: float = HORIZON) -> bool
 
 def _limit(
     make: Callable[[float], ClosedLoop], values: Array, t: Array, horizon: float, name: str, unit: str, progress: bool, n_jobs: int | None,
-    rate: bool = False,
+    rate: bool = False, together: Callable[[Sequence[float]], list[bool] | None] | None = None,
 ) -> Limit:  # fmt: skip
-    """``rate``: the values are times [s], and what is said of them is their rate."""
+    """``together`` as in ``Ahead``. ``rate``: the values are times [s], and what is said of them is their rate."""
 
     def told(x: float) -> float:
         return 1 / x if rate else x
@@ -254,7 +261,7 @@ def _limit(
         return stable(make(x), t, horizon)
 
     with shown(progress, name) as tick:
-        bracket = first_loss(holds, values, skip=values[0] > 0, tick=lambda x: tick(told(x)), n_jobs=n_jobs)
+        bracket = first_loss(holds, values, skip=values[0] > 0, tick=lambda x: tick(told(x)), n_jobs=n_jobs, together=together)
     if bracket.outcome is Outcome.NOWHERE:
         there = make(float(values[0]))
         root, binding = _lost(there, t, horizon)

@@ -6,7 +6,7 @@ An interval of loss narrower than one step of the scan can be missed; the scan h
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
@@ -111,15 +111,16 @@ def scan(lower: float, upper: float, steps: int = STEPS) -> Array:
 
 
 def first_loss(
-    holds: Callable[[float], bool], values: Array, *, skip: bool = True, tick: Tick = lambda x: None, n_jobs: int | None = None
-) -> Bracket:
+    holds: Callable[[float], bool], values: Array, *, skip: bool = True, tick: Tick = lambda x: None, n_jobs: int | None = None,
+    together: Callable[[Sequence[float]], Sequence[bool] | None] | None = None,
+) -> Bracket:  # fmt: skip
     """The first loss along increasing values, located by bisection.
 
     ``skip``: initial values at which the condition fails are skipped (``Bracket.before``); otherwise they end the search. ``tick`` is called
-    with each value; ``n_jobs`` as in ``Ahead``, with the same numbers.
+    with each value; ``n_jobs`` and ``together`` as in ``Ahead``, with the same numbers.
     """
     count, last, before = 0, np.nan, None
-    ahead = Ahead(holds, n_jobs)
+    ahead = Ahead(holds, n_jobs, together)
     ascending = [float(x) for x in values]
     for i, x in enumerate(ascending):
         count += 1

@@ -67,6 +67,10 @@ def failing(x: float) -> float:
     return 10 * x
 
 
+def refused(some):
+    raise BadArgument("some", some, "fewer")
+
+
 def test_errors_and_warnings_belong_to_the_values_that_are_asked_for():
     ahead = Ahead(failing, 2)
     with pytest.warns(UserWarning) as said:
@@ -74,6 +78,19 @@ def test_errors_and_warnings_belong_to_the_values_that_are_asked_for():
     assert [str(w.message) for w in said] == ["near 1.0"] and set(ahead.known) == {1.0, 2.0}
     with pytest.warns(UserWarning, match=r"near 2\.0"), pytest.raises(BadArgument, match="less"):
         ahead(2.0)
+
+
+def test_what_may_come_next_is_computed_together_in_one_process():
+    asked = []
+    ahead = Ahead(lambda x: asked.append(x) or 10 * x, 1, lambda some: asked.append(some) or [10 * x for x in some])
+    assert [ahead(x, range(x + 1, 9)) for x in (0, 1, 2, 3)] == [0, 10, 20, 30]
+    assert ahead(8) == 80 and asked == [[0, 1, 2], [3, 4, 5], 8]
+
+
+@pytest.mark.parametrize("together", [lambda some: None, refused])
+def test_where_several_cannot_be_computed_together_one_is(together):
+    ahead = Ahead(lambda x: 10 * x, 1, together)
+    assert ahead(0.5, [2.0]) == 5.0 and not ahead.known
 
 
 def test_the_number_of_processes_may_come_from_joblib():

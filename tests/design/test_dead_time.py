@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from mfc_analysis.design.dead_time import delay_map, over_delay
 from mfc_analysis.errors import BadArgument, Unsupported
 
 
-def loop(k: float = 4.0, **hardware: float) -> mfc.ClosedLoop:
+def loop(k: float = 4.0, **hardware: Any) -> mfc.ClosedLoop:
     return mfc.ClosedLoop(mfc.robots.planar_2r(), mfc.laws.VelocityP(k), mfc.trajectories.Hold([0.3, 0.2]), hardware=mfc.Hardware(**hardware))
 
 
@@ -63,6 +64,14 @@ def test_a_map_scales_with_the_gain() -> None:
 
 def test_the_loops_own_dead_time_is_replaced() -> None:
     assert over_delay(loop(delay=0.3), [0.1])[0] == pytest.approx(over_delay(loop(), [0.1])[0], rel=1e-12)
+
+
+def test_the_dead_time_of_a_servo_is_kept() -> None:
+    servo = mfc.Servo(bandwidth=50.0, delay=0.05)
+    together, alone = over_delay(loop(servo=servo), [0.1]), over_delay(loop(servo=replace(servo, delay=None)), [0.15])
+    assert together == pytest.approx(alone, rel=1e-9)
+    lin = loop(servo=servo, delay=0.1).linearize([0.0])
+    assert together == pytest.approx([max(s.real for s in lin.delay_roots(6)[0])], rel=1e-9)
 
 
 def test_a_slow_growth_counts_within_a_longer_horizon_only() -> None:

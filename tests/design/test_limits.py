@@ -349,3 +349,27 @@ def test_dead_time_of_a_sampled_loop_is_searched_between_whole_samples():
     assert 2 * period < found < 3 * period
     for factor, holds in ((0.999, True), (1.001, False)):
         assert velocity_p(k, sample_time=period, delay=factor * found).linearize([0.0]).stable.all() == holds
+
+
+SERVO = mfc.Servo(bandwidth=50.0, delay=0.01)
+
+
+@pytest.mark.parametrize("hardware", [{}, {"velocity_lag": 2e-3}, {"servo": SERVO}, {"sample_time": 0.01}], ids=str)
+def test_dead_times_judged_together_give_the_limit_of_loops_judged_one_by_one(hardware, monkeypatch):
+    from mfc_analysis.design import ahead
+
+    found = []
+    for count in (1, 3):
+        monkeypatch.setattr(ahead, "TOGETHER", count)
+        found.append(design.max_delay(velocity_p(**hardware)))
+    one, three = found
+    assert float(one) == float(three) and str(one) == str(three) and one.evaluations == three.evaluations > 20
+
+
+def test_a_search_for_a_dead_time_counts_several_at_once(monkeypatch):
+    from mfc_analysis.analysis import stability
+
+    counted, true = [], stability.delayed_verdicts
+    monkeypatch.setattr(stability, "delayed_verdicts", lambda system, known: counted.append(len(system.A)) or true(system, known))
+    found = design.max_delay(velocity_p())
+    assert found.evaluations > 20 and len(counted) < 0.6 * found.evaluations and max(counted) == 3
