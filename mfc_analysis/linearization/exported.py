@@ -56,7 +56,7 @@ def measured_model(system: OpenSystem, frequencies: Array, at: str, channel: int
 
     names = tuple(channels(system, at).names)
     j = 0 if channel is None else channel_number(channel, names)
-    L = frequency_response(system, frequencies, at)[0, j]
+    L = frequency_response(system, frequencies, at, j)[0, 0]
     name = f"L_{at}_{names[j]}".replace(".", "_")
     into, out = (signals([f"{at}_{names[j]}_{end}"]) for end in ("in", "out"))
     return control.frd(L, frequencies, inputs=into, outputs=out, name=name, smooth=False)

@@ -55,7 +55,7 @@ def _loop(system: OpenSystem, at: str, channel: int | str | None) -> tuple[Margi
     k = int(np.argmin(np.nan_to_num(found.phase_deg[0], nan=np.inf))) if channel is None else channel_number(channel, found.channels)
     marks = np.array([f[0, k] for f in (found.crossover, found.reduction_frequency, found.increase_frequency)])
     w = window(spectrum(system).rates[0], marks, float(found.crossover[0, k]), system.dt)
-    return found, k, w, frequency_response(system, w, at)[0, k]
+    return found, k, w, frequency_response(system, w, at, k)[0, 0]
 
 
 def _title(found: Margins, k: int) -> str:

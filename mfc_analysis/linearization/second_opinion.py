@@ -147,7 +147,7 @@ class _Case:
         """L(jw), dead time included; NaN where it is not defined."""
         if not 0 < w < (np.pi / self.system.dt if self.system.dt else np.inf):
             return complex(np.nan, np.nan)
-        return complex(frequency_response(self.system, np.array([w]), self.at)[0, self.k, 0])
+        return complex(frequency_response(self.system, np.array([w]), self.at, self.k)[0, 0, 0])
 
     def beyond(self, w: float) -> complex:
         """L at an end of the frequency axis: at s, |s| = 1/horizon, Im s = w, where a slow root leaves the disc, or at the highest frequency."""

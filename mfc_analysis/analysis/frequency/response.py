@@ -21,10 +21,11 @@ from mfc_analysis.maths.checks import vector
 CHUNK = 2_000_000  #: complex numbers solved for at a time
 
 
-def frequency_response(system: OpenSystem, frequencies: ArrayLike, at: str) -> Complex:
+def frequency_response(system: OpenSystem, frequencies: ArrayLike, at: str, channel: int | None = None) -> Complex:
     """L_i(jw), (m, n, nf) complex, of each channel of the point ``at``, the others closed, dead time included.
 
     ``frequencies``: (nf,) [rad/s], not negative; up to pi/dt of a sampled loop, where L_i(e^(jw dt)) is returned. Infinite on a pole of L_i.
+    ``channel``: index of the only one wanted, (m, 1, nf).
     Raises ``UnknownPoint`` and ``BadArgument``.
     """
     wires = point_wires(system, at)
@@ -34,12 +35,13 @@ def frequency_response(system: OpenSystem, frequencies: ArrayLike, at: str) -> C
         raise BadArgument("frequencies", frequencies, "frequencies >= 0 [rad/s]" + (f" up to pi/dt = {np.pi / system.dt:.6g}" if system.dt else ""))
     s: Complex = np.asarray(np.exp(1j * w * system.dt) if system.dt else 1j * w, np.complex128)
     delays = np.exp(-1j * w[:, None] * (0.0 if system.dt else system.wire_delay))
-    numbers = np.arange(system.nw)[wires]
-    out = np.empty((len(system.A), numbers.size, w.size), np.complex128)
+    numbers = np.arange(system.nw)
+    cuts = np.stack([numbers[wires], numbers[system.wires["rate"]]] if has_rate(system, at) else [numbers[wires]], axis=1)
+    cuts = cuts if channel is None else cuts[[channel]]
+    out = np.empty((len(system.A), len(cuts), w.size), np.complex128)
     for i in range(len(system.A)):
         G = wire_response(system, i, s)
-        for k, wire in enumerate(numbers):
-            cut = [int(wire), int(np.arange(system.nw)[system.wires["rate"]][k])] if has_rate(system, at) else [int(wire)]
+        for k, cut in enumerate(cuts.tolist()):
             out[i, k] = _loop(G, delays, cut, s, bool(system.dt))
     return out
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfc_analysis import plots
+from mfc_analysis.analysis.frequency.response import frequency_response
 from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.maths.arrays import Complex
 from mfc_analysis.plots.frequency import of_channel
@@ -65,7 +66,7 @@ def response(lin: Linearization, at: str, channel: int, name: str, index: int = 
     """Bode and Nyquist figures of one channel of a linearised loop, with its margins marked."""
     w = np.geomspace(*span, 240)
     here = lin if len(lin) == 1 else lin.again(lin.times[[index]])
-    L = here.frequency_response(w, at)[0, channel]
+    L = frequency_response(here.opened_for(at), w, at, channel)[0, 0]
     found = margins_at(here, at)
     known: dict[str, Any] = dict(of_channel(found, 0, channel))
     peak = float(found.sensitivity_peak[0, channel])

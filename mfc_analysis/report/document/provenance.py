@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 from mfc_analysis.report.document.document import Provenance
@@ -32,6 +33,7 @@ def provenance(
     return Provenance(tuple(items), command)
 
 
+@cache
 def _version(name: str) -> str:
     try:
         return version(name)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mfc_analysis.analysis.frequency.response import frequency_response
 from mfc_analysis.analysis.frequency.window import window
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 from mfc_analysis.report.document.document import Number, found_of, limit_of, written
@@ -138,7 +139,9 @@ class View:
     def response(self, frequencies: Array, at: str | None = None, channel: int | None = None) -> Complex:
         """(nf,) L(jw) in the worst case (``channel``: of another channel), dead time included."""
         one = self.lin.again(self.times[self.worst.row : self.worst.row + 1])
-        return np.asarray(one.frequency_response(frequencies, at or self.point)[0, self.worst.channel if channel is None else channel])
+        point = at or self.point
+        k = self.worst.channel if channel is None else channel
+        return np.asarray(frequency_response(one.opened_for(point), frequencies, point, k)[0, 0])
 
     @property
     def delayed(self) -> bool:

@@ -7,8 +7,9 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
+import mfc_analysis as mfc
 from mfc_analysis.analysis.channels import channels
 from mfc_analysis.analysis.frequency.resolvent import resolvent
 from mfc_analysis.analysis.frequency.response import frequency_response
@@ -64,3 +65,11 @@ def test_bad_frequencies_and_points_are_refused():
         frequency_response(open_system(control.tf([0.4], [1, -0.9], 0.01)), [400.0], "torque")
     with pytest.raises(UnknownPoint):
         frequency_response(open_system(1 / s), [1.0], "wrist")
+
+
+@pytest.mark.parametrize(("hardware", "at"), [({}, "torque"), ({"delay": 3e-3}, "position"), ({"sample_time": 5e-3}, "torque")], ids=str)
+def test_one_channel_alone_is_that_channel_of_all(hardware, at):
+    law, hold = mfc.laws.ComputedTorque(100.0, 80.0, 20.0), mfc.trajectories.Hold([0.3, 0.8])
+    lin = mfc.ClosedLoop(mfc.robots.planar_2r(), law, hold, hardware=mfc.Hardware(**hardware)).linearize([0.0, 1.0])
+    w = np.geomspace(0.1, 300.0, 7)
+    assert_array_equal(frequency_response(lin.opened_for(at), w, at, 1), lin.frequency_response(w, at)[:, [1]])
