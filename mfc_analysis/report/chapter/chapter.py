@@ -19,14 +19,8 @@ from mfc_analysis.report.render.write import FORMATS, Progress, render
 ROOM = "mfc_analysis.report.chapter"
 #: the modules of the chapter, in order; each has ``sections(full=...) -> tuple[Section, ...]``
 PARTS = ("velocity", "joint_torque", "task", "constraints", "force", "hybrid", "stiffness", "hardware", "beyond", "misprints", "errata")
-LONGEST_FIRST = (
-    "hardware",
-    "beyond",
-    "joint_torque",
-    "stiffness",
-    "task",
-    "hybrid",
-)  #: two processes share these better than in the order of the pages
+#: two processes share these better than in the order of the pages
+LONGEST_FIRST = ("beyond", "joint_torque", "stiffness", "hardware", "task", "hybrid", "errata", "force")
 TOOL, FORCE = ("task",), ("constraints", "force", "hybrid", "stiffness")
 
 DELAYED = " (rightmost roots, dead time included)"
