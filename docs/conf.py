@@ -58,6 +58,7 @@ author = "mfc_analysis maintainers"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton", "names", "mathematics"]
 exclude_patterns = []
 nitpicky = True
+smartquotes_action = "De"  # dashes and dots; the quote of q' is a derivative
 
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 4
@@ -68,7 +69,7 @@ os.environ |= {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1", 
 
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "both"
-autodoc_typehints_description_target = "documented_params"
+autodoc_typehints_description_target = "documented"
 autodoc_typehints_format = "short"
 autodoc_type_aliases = {name: name for name in ALIASES}
 python_use_unqualified_type_names = True
@@ -128,6 +129,7 @@ def mend(app: Any, failure: Exception | None) -> None:
         text = path.read_text(encoding="utf-8")
         for was, now in MENDED.items():
             text = text.replace(was, now)
+        text = re.sub(r"<p>alias of .*?</p>", "", text, flags=re.DOTALL)  # a type, which the text above says in words
         text = re.sub(r'<dl>\n((?:<dd><em class="sig-param">.*</dd>\n)+)</dl>', r'<ul class="sig-parameters">\n\1</ul>', text)
         path.write_text(re.sub(r'<dd>(<em class="sig-param">.*)</dd>', r"<li>\1</li>", text), encoding="utf-8")
 

@@ -9,6 +9,7 @@ import pkgutil
 import re
 from collections.abc import Iterator
 from contextlib import suppress
+from enum import Enum
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,14 +22,18 @@ from sphinx.util.inspect import TypeAliasForwardRef
 from sphinx.util.nodes import make_refnode
 
 import mfc_analysis
+from mfc_analysis import errors
 
 #: types that print as in the source, not as what they stand for
 ALIASES = ("Array", "ArrayLike", "Bools", "Complex", "Ints", "Matrix", "Rule", "Tap", "Value", "Vector")
+#: what a name without its package is a link to: its page, not the line of an attribute
+LINKED = ("class", "exception", "function", "method")
 #: other libraries, whose pages cannot be reached without network
 ELSEWHERE = r"(numpy|scipy|control|matplotlib|pinocchio|xarray|pathlib|os|typing|abc|enum|collections|datetime|types|functools)\."
 
 TypeAliasForwardRef.__repr__ = lambda self: self.name  # an alias within a union
-LITERAL = re.compile(r"(``.*?``|:\w+:`.*?`|^\.\. math::.*(?:\n+[ ]+.*)*)|\|", re.MULTILINE)
+ERRORS = "|".join([*(name for name, thing in vars(errors).items() if inspect.isclass(thing)), "MissingRobots", "StudyError"])
+LITERAL = re.compile(rf"(``.*?``|:\w+:`.*?`|^\.\. math::.*(?:\n+[ ]+.*)*|^ +\w+: )|\||\b({ERRORS})\b", re.MULTILINE)
 
 
 def load_types(app: Sphinx) -> None:
@@ -53,41 +58,68 @@ def load_types(app: Sphinx) -> None:
         waiting = late
 
 
-def one_each(lines: list[str], names: set[str]) -> list[str]:
-    """``Args`` with an entry for each parameter: ``kp: [1/s^2], kd: [1/s]`` and ``a, b: [s]`` are two each."""
-    out: list[str] = []
-    inside, indent = False, 0
-    for line in lines:
-        if line.strip() in ("Args:", "Raises:", "Returns:", "Warns:"):
-            inside, indent = line.strip() == "Args:", 0
-        elif inside and line.strip():
-            depth = len(line) - len(line.lstrip())
-            indent = indent or depth
-            inside = depth >= indent
-            starts = "|".join(map(re.escape, sorted(names)))
-            entries = list(re.finditer(rf"(?:^|[,;.] )((?:{starts})(?:, (?:{starts}))*): ", line.strip()))
-            if inside and depth == indent and entries and entries[0].start() == 0:
-                texts = [line.strip()[one.end() : after] for one, after in zip(entries, [one.start() for one in entries[1:]] + [None], strict=True)]
-                out += [f"{' ' * indent}{name}: {text}" for one, text in zip(entries, texts, strict=True) for name in one[1].split(", ")]
-                continue
-        out.append(line)
+def entries(text: str, names: set[str]) -> list[tuple[str, str]]:
+    """(name, text) of each parameter of one entry of ``Args``: ``kp: [1/s^2], kd: [1/s]; scalar`` and ``a, b: [s]`` are two each."""
+    starts = "|".join(map(re.escape, sorted(names)))
+    found = list(re.finditer(rf"(?:^|[,;.] )((?:{starts})(?:, (?:{starts}))*): ", text.split("\n")[0]))
+    if not found or found[0].start() > 0:
+        return []
+    texts = [text[one.end() : after] for one, after in zip(found, [one.start() for one in found[1:]] + [None], strict=True)]
+    unit, tail = r"(?:\w+ )?\[[^]]*\]", ""
+    for k, said in reversed(list(enumerate(texts))):
+        if re.fullmatch(unit, said):
+            texts[k] += tail  # what is said after the last of several units holds for all of them
+        else:
+            tail = more[1] if (more := re.match(rf"{unit}(; .*?)(?:\.\s|\.?$)", said, re.DOTALL)) else ""
+    out: list[tuple[str, str]] = []
+    for one, said in zip(found, texts, strict=True):
+        first, *others = one[1].split(", ")
+        out.append((first, said))
+        out += [(name, said if len(said) < 60 else f"see ``{first}``.") for name in others]
     return out
 
 
+def one_each(lines: list[str], names: set[str]) -> list[str]:
+    """The docstring with an entry of its own for each parameter of ``Args``."""
+    out: list[str] = []
+    text = "\n".join(lines)
+    args = re.search(r"^Args:\n((?:(?: .*)?\n)*(?: .*)?)", text, re.MULTILINE)
+    if not args or not (indent := re.match(r"\n* +", args[1])):
+        return lines
+    for block in re.split(rf"\n(?={indent[0]}\S)", args[1].rstrip()):
+        parts = entries(re.sub(rf"^{indent[0]}", "", block), names)
+        out += [f"{indent[0]}{name}: {said}" for name, said in parts] or [block]
+    return f"{text[: args.start(1)]}{chr(10).join(out)}{text[args.start(1) + len(args[1].rstrip()) :]}".split("\n")
+
+
+def members(kind: type[Enum]) -> list[str]:
+    """The members of an enumeration as a list, each with its value if that is more than its name."""
+    return [f"- ``{one.name}``" + (f": {one.value}" if one.value != one.name else "") for one in kind]
+
+
 def prepare(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """``|s|`` is an absolute value, no substitution; each parameter has its entry; what is before a colon in the text of an attribute is no type."""
-    lines[:] = LITERAL.sub(lambda found: found[1] or r"\|", "\n".join(lines)).split("\n")
+    """``|s|`` is an absolute value, no substitution; errors are names; what is before a colon in the text of an attribute is no type."""
+    lines[:] = LITERAL.sub(lambda found: found[1] or (f"``{found[2]}``" if found[2] else r"\|"), "\n".join(lines)).split("\n")
     if what in ("class", "exception", "function", "method"):
         with suppress(ValueError, TypeError):
             lines[:] = one_each(lines, set(inspect.signature(thing).parameters))
+    if inspect.isclass(thing) and issubclass(thing, Enum):
+        lines += ["", *members(thing), ""]
     if what in ("attribute", "data", "property"):
         lines[:0] = ["..", ""]
+
+
+def skipped(app: Sphinx, what: str, name: str, thing: Any, skip: bool, options: Any) -> bool | None:
+    """The equation of a law as source text: the page shows it set."""
+    return True if name == "typst" and thing else None
 
 
 def shortened(
     app: Sphinx, what: str, name: str, thing: Any, options: Any, arguments: str | None, returns: str | None
 ) -> tuple[str | None, str | None]:
-    """A default that is made anew each time as ``...``: with ``<factory>`` the signature is not one that Sphinx can read."""
+    """A default that is made anew each time as ``...``: with ``<factory>`` the signature is not one that Sphinx can read. An enumeration has none."""
+    if inspect.isclass(thing) and issubclass(thing, Enum):
+        return "", None
     return arguments and arguments.replace("<factory>", "..."), returns
 
 
@@ -124,24 +156,36 @@ def ancestors(node: nodes.Node) -> Iterator[nodes.Node]:
 
 
 class Links(SphinxPostTransform):
-    """``mfc.gains.pid(...)`` in the text of a page is a link to the reference."""
+    """A public name in the text of a page, ``mfc.gains.pid(...)``, ``gains.pid`` or ``Margins``, is a link to the reference."""
 
     default_priority = 5
 
+    def target(self, text: str) -> Any:
+        """(name, entry) of what a text names, also as seen from the page of a function or class beside it, else None."""
+        objects, page = self.env.domains.python_domain.objects, self.env.current_document.docname
+        found = re.fullmatch(r"(mfc(?:_analysis)?\.)?([\w.]+)(\(.*\))?", text, re.DOTALL)
+        if not found:
+            return None
+        here = page.removeprefix("reference/") if page.startswith("reference/") and not found[1] else ""
+        names = [f"mfc_analysis.{place}.{found[2]}" for place in (here, here.rpartition(".")[0]) if place] + [f"mfc_analysis.{found[2]}"]
+        if not found[1] and re.fullmatch(r"[A-Z]\w*[a-z]\w*", found[2]):
+            classes = [name for name in objects if name.rpartition(".")[2] == found[2] and objects[name].objtype in ("class", "exception")]
+            names += classes if len(classes) == 1 else []
+        return next(((name, objects[name]) for name in names if name in objects and (found[1] or objects[name].objtype in LINKED)), None)
+
     def run(self, **_: Any) -> None:
         for node in list(self.document.findall(nodes.literal)):
-            found = re.fullmatch(r"mfc(?:_analysis)?\.([\w.]+)(?:\(.*\))?", node.astext(), re.DOTALL)
-            name = f"mfc_analysis.{found[1]}" if found else ""
-            known = self.env.domains.python_domain.objects.get(name)
-            linked = any(isinstance(above, (nodes.reference, addnodes.pending_xref)) for above in ancestors(node))
-            if known and known.docname != self.env.current_document.docname and not linked:
-                to = make_refnode(self.app.builder, self.env.current_document.docname, known.docname, known.node_id, node.deepcopy(), name)
-                node.replace_self(to)
+            page = self.env.current_document.docname
+            linked = any(isinstance(above, (nodes.reference, addnodes.pending_xref, nodes.title)) for above in ancestors(node))
+            if not linked and (known := self.target(node.astext())) and known[1].docname != page:
+                name, entry = known
+                node.replace_self(make_refnode(self.app.builder, page, entry.docname, entry.node_id, node.deepcopy(), name))
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("builder-inited", load_types)
     app.connect("autodoc-process-docstring", prepare, priority=400)
+    app.connect("autodoc-skip-member", skipped)
     app.connect("autodoc-process-signature", shortened)
     app.connect("missing-reference", resolve)
     app.add_post_transform(Links)

@@ -76,6 +76,9 @@ def test_each_parameter_of_a_docstring_has_an_entry_of_its_own() -> None:
     assert spec is not None and spec.loader is not None
     names = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(names)
-    text = ["Args:", "    kp: [1/s^2], ki: [1/s^3]; scalar. q, v: at rest: 0.", "        More.", "    a, b, c: one, or b itself."]
-    entries = ["    kp: [1/s^2]", "    ki: [1/s^3]; scalar", "    q: at rest: 0.", "    v: at rest: 0.", "        More."]
-    assert names.one_each(text, {"kp", "ki", "q", "v", "a", "b", "c"}) == ["Args:", *entries, *(f"    {x}: one, or b itself." for x in "abc")]
+    text = ["Args:", "    kp: [1/s^2], ki: [1/s^3]; scalar. q, v: at rest: 0.", "        More.", "    a, b, c: one, or b itself.", "", "End."]
+    entries = ["    kp: [1/s^2]; scalar", "    ki: [1/s^3]; scalar", "    q: at rest: 0.", "        More.", "    v: at rest: 0.", "        More."]
+    expected = ["Args:", *entries, *(f"    {x}: one, or b itself." for x in "abc"), "", "End."]
+    assert names.one_each(text, {"kp", "ki", "q", "v", "a", "b", "c"}) == expected
+    long = "what is measured, with a text of more than one line that would be read twice."
+    assert names.one_each(["Args:", f"    q, v: {long}"], {"q", "v"}) == ["Args:", f"    q: {long}", "    v: see ``q``."]

@@ -28,7 +28,7 @@ from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.primitives import Primitives
 from mfc_analysis.robots.tool_task import Selection, ToolTask, tool_task
 
-#: names a wire and returns the signal after it (the same signal, unless the wire is cut)
+#: The last argument of ``act``: called with the name of a wire and its signal, it returns the signal after the wire, the same unless the wire is cut.
 Tap = Callable[[str, Vector], Vector]
 
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
