@@ -121,6 +121,8 @@ MENDED = {
     "<pre>": '<pre tabindex="0">',
     '<div id="search-results"></div>': '<h1>Search</h1><div id="search-results"></div>',
 }
+#: printed text without columns, which may be wrapped
+SENTENCES = r'(<div class="highlight-text notranslate)(?="><div class="highlight"><pre[^>]*>(?:(?!</pre>|\S {3,}\S)(?s:.))*</pre>)'
 
 
 def mend(app: Any, failure: Exception | None) -> None:
@@ -129,6 +131,9 @@ def mend(app: Any, failure: Exception | None) -> None:
         text = path.read_text(encoding="utf-8")
         for was, now in MENDED.items():
             text = text.replace(was, now)
+        text = re.sub(SENTENCES, r"\1 sentences", text)
+        if path.parent.name == "reference":  # the names of the tables may break at a dot, on a phone
+            text = re.sub(r'<span class="pre">mfc\.[\w.]+(?=</span></code></span></a></p></td>)', lambda name: name[0].replace(".", ".<wbr>"), text)
         text = re.sub(r"<p>alias of .*?</p>", "", text, flags=re.DOTALL)  # a type, which the text above says in words
         text = re.sub(r'<dl>\n((?:<dd><em class="sig-param">.*</dd>\n)+)</dl>', r'<ul class="sig-parameters">\n\1</ul>', text)
         path.write_text(re.sub(r'<dd>(<em class="sig-param">.*)</dd>', r"<li>\1</li>", text), encoding="utf-8")

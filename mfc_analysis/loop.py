@@ -62,8 +62,8 @@ class ClosedLoop:
     Args:
         robot: the plant.
         law: one of ``mfc.laws``.
-        ref: a reference of ``mfc.trajectories``: joint space for joint laws, a ``Hold`` for force laws; tool laws take tool
-            references, or a joint reference (then its tool motion is the reference).
+        ref: a reference of ``mfc.trajectories``: in joint space for joint laws, a ``Hold`` for force laws. Tool laws take a tool reference, or a
+            joint reference, whose tool motion they then follow.
         controller_model: the controller's model of the plant; omitted: the plant itself.
         environment: an ``Environment``, or a list whose forces add up; surfaces without a pose lie at the tool's start pose.
         q_start: (n,) [rad, m] for tool references: the joint solution is followed from here.
@@ -147,9 +147,9 @@ class ClosedLoop:
     def equilibrium(self) -> Equilibrium:
         """The equilibrium that the loop comes to from the reference (a Hold), with gravity sag and steady force error.
 
-        A stiff loop has it near the reference, where Newton finds it. A soft loop can have several: a simulation from the reference, its
-        integrals at 0, up to 200 s, then tells which, and ``notes`` says so. One that is unstable, or about which the simulation does not
-        come to rest, is named as such. Surfaces are two-sided, as in the linear model.
+        A stiff loop has it near the reference, where Newton finds it. A soft loop can have several: then a simulation from the reference, with its
+        integrals at 0 and up to 200 s long, tells which, and ``notes`` says so. An equilibrium that is unstable, or at which the simulation does
+        not come to rest, is named as such. Surfaces are two-sided, as in the linear model.
 
         Raises NotConverged where none is found, Unsupported on a moving reference.
         """
@@ -161,7 +161,7 @@ class ClosedLoop:
         return Equilibrium(rest.x[0][: self.robot.n], error, force, torque, rest.x[0], rest.stable, rest.notes)
 
     def quasi_static(self) -> QuasiStatic:
-        """Equation 9.20's model of the same loop: g + J^T F_tip = tau. ``.force`` (6,), ``.error`` = F_d - F_tip (6,)."""
+        """Equation 9.20's model of the same loop: g + J^T F_tip = tau. ``.force`` and ``.error`` = F_d - F_tip, each (6,) [N, Nm]."""
         from mfc_analysis.dynamics.quasi_static import quasi_static
         from mfc_analysis.simulation.rest import at_rest
 
@@ -198,10 +198,13 @@ class ClosedLoop:
         return self.law.plant
 
     def floquet(self, period: float | None = None, max_evaluations: int | None = None) -> Floquet:
-        """Floquet multipliers on the periodic orbit of the nonlinear closed loop, of the reference's period [s] unless one is given.
+        """Floquet multipliers on the periodic orbit of the nonlinear closed loop.
 
-        ``max_evaluations`` of the equations over all runs of the search; None: about 10 s of work. Raises BadArgument without a period,
-        Unsupported (dead time without a sample time), NotConverged (no orbit found, or not with this much work).
+        Args:
+            period: [s]; None: that of the reference.
+            max_evaluations: largest number of evaluations of the equations over all runs of the search; None: about 10 s of work.
+
+        Raises BadArgument without a period, Unsupported (dead time without a sample time), NotConverged (no orbit found, or not with this much work).
         """
         from mfc_analysis.simulation.orbit import floquet
 
@@ -233,12 +236,13 @@ class ClosedLoop:
             initial_error: e at the start, scalar or (n,) (tool laws: X_e (6,), with axes (k,), or the joint error (n,));
                 used where ``q`` is not given.
             disturbance: torque at the joints [Nm] (velocity laws: velocity [rad/s]), constant or a function of time.
-            q, v: (n,) start position and velocity. integral: 0, "trimmed" or the integral state. force_integral: likewise, scalar or (6,).
+            q: (n,) start position [rad, m]. v: (n,) start velocity [rad/s, m/s].
+            integral: 0, "trimmed" or the integral state. force_integral: 0 or the integral of the force error [N s, Nm s], scalar or (6,).
             actuator: (n,) torque or velocity that the actuators with a lag or servo give at the start; None: the one commanded there.
-            x: (nx,) the full start state; replaces all of these. rtol, atol, method: of ``solve_ivp``.
-            max_evaluations: of the equations of the loop (one of the Jacobian counts as 4, one of the plant under a held command as 1/4,
-                and the time of a solver written in Python is added);
-                None: about 10 s of work: 100 000 for a joint law without surfaces, fewer where one evaluation takes longer.
+            x: (nx,) the full start state, in place of all of these. rtol, atol: tolerances of ``solve_ivp``. method: of ``solve_ivp``.
+            max_evaluations: largest number of evaluations of the equations; None: about 10 s of work, 100 000 for a joint law without surfaces,
+                fewer where one takes longer. A Jacobian counts as 4, the plant alone under a held command as 1/4, and the time of a solver
+                written in Python is added.
 
         A run that diverges, or that ``max_evaluations`` stops, keeps its results up to then and reports the time (``diverged``, ``outcome``,
         ``message``). Raises BadArgument; Unsupported for a dead time or sample time too short for the times of the run to tell apart.
@@ -256,8 +260,8 @@ class ClosedLoop:
     def nlsys(self) -> NonlinearIOSystem:
         """The nonlinear loop for python-control, a ``control.NonlinearIOSystem`` with the names of ``linearize(coordinates="state")``.
 
-        Inputs, all 0 on the reference: a shift of the reference (q_d [rad, m], or a body twist that moves X_d), a disturbance at the joints,
-        and a change of F_d where the law has one. Outputs: q, error, command, and F_tip with a surface.
+        The inputs are 0 on the reference: a shift of it (q_d [rad, m], or a body twist that moves X_d), a disturbance at the joints, and a change
+        of F_d where the law has one. The outputs are q, error, command, and F_tip with a surface.
 
         Warns where dead time is left out. Raises Unsupported for a loop with a sample time.
         """
@@ -268,10 +272,10 @@ class ClosedLoop:
     def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
         """Compares linear prediction and nonlinear simulation over ``time`` [s], from the operating point disturbed by ``size`` [rad, m].
 
-        The disturbance is the worst one found: from the directions in which the linear model fails first to second order, with both signs, a
-        search climbs the misfit of the nonlinear response where higher orders count; runs decide among what it finds. It moves each joint by at
-        most ``size``, one of them by ``size``, and each other state (velocity, integral, filter, actuator) by at most what the linear model makes
-        of a joint error of ``size``.
+        The disturbance is the worst one found. The search starts from the directions in which the linear model fails first to second order, with
+        both signs. Where higher orders count, it climbs the misfit of the nonlinear response; runs decide among what it finds. The disturbance
+        moves each joint by at most ``size``, and one of them by ``size``. It moves each other state (velocity, integral, filter, actuator) by at
+        most what the linear model makes of a joint error of ``size``.
 
         Args:
             time: [s] of the runs. size: [rad, m] of the disturbance.

@@ -100,8 +100,8 @@ def assert_margins(
         asked: fields of ``Requirements``, such as ``phase_deg=45, gain_increase_db=6``;
             ``horizon`` [s] is one of them.
         step: of ``settling_time`` and ``overshoot``, "reference" or "loop" (T = L/(1 + L) at the analysis point), as in ``Requirements``.
-        allow_drift, allow_residual: pass if the loop drifts, or does not stay at its operating points. A drifting loop, which has no
-            rest point within the horizon, needs ``allow_drift`` alone.
+        allow_drift: pass although the loop drifts, which then has no rest point within the horizon. allow_residual: pass although the loop does not
+            stay at its operating points; a loop that drifts does not need it.
 
     Raises AssertionError; UnknownName for an unknown field; BadArgument without any field.
     """

@@ -81,8 +81,8 @@ class Comparison:
     def margins(self) -> Margins:
         """Margins of the measured loop, from the trusted data (``averaged``) and nothing beyond them; NaN where it, or the model, is unstable.
 
-        Its stability follows from the model's: the data of a stable loop do not turn about the model's. Outside the data the loop is taken to be
-        the model. Raises BadArgument where the data are too coarse, or end where 1 + L is far from the model's.
+        The measured loop is stable if the model is and (1 + L) of the data over that of the model does not encircle 0. Outside the data the loop is
+        taken to be the model. Raises BadArgument where the data are too coarse, or end where 1 + L is far from the model's.
         """
         some = self.trusted
         w, L, M = self.frequencies[some], self.averaged[some], self.model[some]

@@ -134,13 +134,14 @@ def estimate(
     """The frequency response G of y = G u from a record of N samples, by averaged spectra (Welch), with its coherence.
 
     Args:
-        t: (N,) [s], uniform. u, y: (N,) input and output of what is measured, any units. L of a loop that was excited between the
-            controller and the arm: u the signal after the excitation, y **minus** the signal before it, as L is in negative feedback.
-        r: (N,) the excitation, where the record is of a closed loop. There the noise comes back through the feedback and is in u as well, so
-            that u and y alone give a biased G, often with a coherence near 1. With r, G = S_ry / S_ru has no such bias (joint input-output).
-        period: [s] of a periodic excitation (a multisine), a whole number of samples: each segment is one period, without window, so nothing
+        t: (N,) [s], uniform.
+        u: (N,) input of what is measured, any unit; for L of a loop that is excited between controller and arm: the signal after the excitation.
+        y: (N,) its output, any unit; for L: minus the signal before the excitation, as L is in negative feedback.
+        r: (N,) [unit of u] the excitation, where the record is of a closed loop. There the noise comes back through the feedback into u: u and y
+            alone give a biased G, often with a coherence near 1. With r the estimate G = S_ry / S_ru has no such bias (joint input-output).
+        period: [s] of a periodic excitation (a multisine), a whole number of samples. Each segment is then one period without a window, so nothing
             leaks, and only the lines of the excitation are kept. Leave out the first period, in which the arm has not settled.
-        averages: segments at least, at the lowest frequencies; higher ones have more. They overlap by half.
+        averages: smallest number of segments, that of the lowest frequencies; higher ones have more. Segments overlap by half.
         cycles: periods of the lowest frequency of each octave in a segment, as far as ``averages`` allows: the frequencies are 1/``cycles`` of
             it apart. More for a lightly damped resonance.
         window: of ``scipy.signal.get_window``.

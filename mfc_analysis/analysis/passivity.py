@@ -5,7 +5,7 @@ environment: springs of any stiffness, masses, dampers. Where Y has an inverse Z
 
 .. math:: \delta(\omega) = \lambda_{min}\left(\tfrac12 (Z + Z^H)\right) \ge 0
 
-in [Ns/m, Nms/rad], which has a limit at high frequency. A damper b at the tool, between it and the ground (in parallel with the environment:
+in [Ns/m, Nm s/rad], which has a limit at high frequency. A damper b at the tool, between it and the ground (in parallel with the environment:
 both feel the same velocity), adds b to Z; so the smallest b that makes the port passive is the supremum of -delta.
 
 Certified: without dead time the zeros of det(Y(s) + Y(-s)^T) are the eigenvalues of a Hamiltonian pencil, and delta is looked at between all of
@@ -76,11 +76,11 @@ class Passivity:
     frequency: Array  #: (m,) [rad/s] where it is
     direction: Complex  #: (m, p) of the force there, a unit vector
     crossings: tuple[Array, ...]  #: (m,) arrays [rad/s] where that eigenvalue passes zero; with dead time those below ``highest``
-    damping: Array  #: (m,) [Ns/m, Nms/rad] smallest extra damping at the port, between it and the ground, that makes it passive; inf: none does
+    damping: Array  #: (m,) [Ns/m, Nm s/rad] smallest extra damping at the port, between it and the ground, that makes it passive; inf: none does
     damping_frequency: Array  #: (m,) [rad/s] where it is needed; inf: at ever higher frequencies; NaN: none is
     highest: Array  #: (m,) [rad/s] up to where it was looked at, from 1/horizon on
     frequencies: tuple[Array, ...]  #: (m,) arrays (k,) [rad/s] of the scan
-    shown: tuple[Array, ...]  #: (m,) arrays (k,) [Ns/m, Nms/rad] the damping that the port shows there
+    shown: tuple[Array, ...]  #: (m,) arrays (k,) [Ns/m, Nm s/rad] the damping that the port shows there
 
     @property
     def passive(self) -> Bools:
@@ -101,7 +101,7 @@ class Passivity:
         b, w = self.damping[index], self.damping_frequency[index]
         if b > 0:
             where = "" if np.isnan(w) else " at ever higher frequencies" if np.isinf(w) else f" at {w:.4g} rad/s"
-            said += f"; {'no damper makes it passive' if np.isinf(b) else f'{b:.4g} Ns/m (Nms/rad) more at the port make it so, needed{where}'}"
+            said += f"; {'no damper makes it passive' if np.isinf(b) else f'{b:.4g} Ns/m (Nm s/rad) more at the port make it so, needed{where}'}"
         return said
 
     def _along(self, index: int) -> str:
@@ -124,7 +124,7 @@ class Passivity:
         rows = [
             ("passive", f"{self.outcome[i]}"), ("least eigenvalue of Y + Y^H", f"{self.smallest[i]:.4g} at {self.frequency[i]:.5g} rad/s"),
             ("direction", self._along(i) if np.isfinite(self.smallest[i]) else "-"), ("crossings [rad/s]", crossings),
-            ("extra damping at the port [Ns/m, Nms/rad]", f"{self.damping[i]:.5g}"), ("looked at up to [rad/s]", f"{self.highest[i]:.4g}"),
+            ("extra damping at the port [Ns/m, Nm s/rad]", f"{self.damping[i]:.5g}"), ("looked at up to [rad/s]", f"{self.highest[i]:.4g}"),
         ]  # fmt: skip
         return table(f"Passivity at the {self.at}, t = {self.times[i]:g} s", ("quantity", "value"), rows)
 

@@ -29,8 +29,8 @@ def margins(L: Any, delay: ArrayLike = 0.0, *, horizon: float = np.inf, open_loo
     """One-loop-at-a-time margins of L in negative feedback, the other channels closed: gain interval, phase, delay, sensitivity peak.
 
     Args:
-        L: StateSpace or TransferFunction, continuous or discrete, n x n, proper; or FrequencyResponseData of one channel, whose margins
-            are those of its straight lines from sample to sample, and of nothing beyond them.
+        L: StateSpace or TransferFunction, continuous or discrete, n x n, proper; or FrequencyResponseData of one channel, with straight lines from
+            sample to sample and nothing beyond them.
         delay: [s] dead time behind L, exact; scalar or (n,). Of a discrete L whole samples.
         horizon: [s] roots with |s| < 1/horizon are slow; inf: every root is judged by its sign.
         open_loop_unstable: poles of measured data in the right half plane, for Nyquist's count.

@@ -62,7 +62,7 @@ class PortSystem:
         return replace(self, names=names, B=self.B @ basis, D=self.D @ basis, C=basis.T @ self.C, E=basis.T @ self.E)
 
     def damped(self, damping: float) -> PortSystem:
-        """The same port with a damper [Ns/m, Nms/rad] between it and the ground: f - ``damping`` y acts in place of f.
+        """The same port with a damper [Ns/m, Nm s/rad] between it and the ground: f - ``damping`` y acts in place of f.
 
         Of a sampled loop in continuous time, before it is sampled again.
         """
@@ -169,8 +169,8 @@ def _drives(system: OpenSystem) -> Ints:
 class Port:
     """Driving-point admittance Y(jw) of the loop as given, at m times and k frequencies: velocity per force, dead time exact.
 
-    "tool": the wrench (fx, fy, fz, mx, my, mz) [N, Nm] that acts ON the robot at the tool origin, to the body twist [m/s, rad/s], tool frame; an
-    entry has the unit of its row over that of its column, such as (m/s)/N. "joints": torque [Nm, N] to joint rate [rad/s, m/s].
+    "tool": from the wrench (fx, fy, fz, mx, my, mz) [N, Nm] that acts on the robot at the tool origin, to the body twist [m/s, rad/s], tool frame.
+    An entry has the unit of its row over that of its column, such as (m/s)/N. "joints": torque [Nm, N] to joint rate [rad/s, m/s].
     """
 
     times: Array  #: (m,) [s]

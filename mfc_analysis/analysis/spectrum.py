@@ -61,7 +61,7 @@ POLE_HEADS = ("pole [1/s, or z]", "wn [rad/s]", "damping", "time constant [s]", 
 class Pole:
     """One row of the table of poles."""
 
-    value: complex  #: [rad/s], or z
+    value: complex  #: [1/s], or z
     frequency: float  #: [rad/s] natural frequency
     damping: float  #: damping ratio; -1..1; NaN of a slow pole
     time_constant: float  #: [s] inf where it does not decay, negative where it grows

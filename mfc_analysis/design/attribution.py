@@ -90,7 +90,7 @@ class Attribution:
             return np.asarray(np.where(np.isinf(before) & (before == after), 0.0, sign * (before - after)))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Cells: the metric, then ideal, the cost of each alone (and on top of the others), their sum, the joint cost, the loop as given."""
+        """Rows of cells: the metric, ideal, the cost of each alone (and on top of the others), their sum, the joint cost, as given."""
         first, last = self.first, self.last
         out: list[tuple[str, ...]] = [
             ("", *(f"{KINDS[name].label} {f'[{KINDS[name].unit}]' if KINDS[name].unit else ''}".strip() for name in self.metrics))
@@ -101,7 +101,7 @@ class Attribution:
         return out
 
     def plot(self, metric: str | None = None, *, ax: Axes | None = None) -> Axes:
-        """Bars of the costs in one metric, where the margin went: of each alone and on top of all the others, of all together.
+        """Bars of the costs in one metric: of each imperfection alone, of each on top of all the others, and of all together.
 
         ``metric``: one of ``metrics``; None: ``shown``. ``ax``: to draw in; None: a new figure of pyplot. Raises BadArgument.
         """

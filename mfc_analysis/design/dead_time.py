@@ -104,7 +104,7 @@ def delay_map(make_loop: Callable[[float], ClosedLoop], delays: ArrayLike, value
     Args:
         make_loop: value (a bandwidth, a gain, a payload) -> loop. delays: (d,) [s] > 0. values: (g,). horizon: [s] of the verdict.
 
-    Raises as ``over_delay``.
+    Raises the errors of ``over_delay``.
     """
     at, T = checks.vector("values", values), checks.vector("delays", delays)
     if at.size == 0:

@@ -169,10 +169,10 @@ def requirement_limit(
     """The limit of a quantity of ``QUANTITIES`` at which the requirements are just met, from its value ``nominal`` in the loop as given.
 
     Args:
-        make: value -> the loop, or several that must all meet them; a rate is given as its period [s]. lower, upper: ends of the search.
+        make: value -> the loop, or several that must all meet them; a rate is given as its period [s]. lower: start of the search. upper: its end.
         n_jobs: processes, as in ``limits``; they judge the next values of the scan.
 
-    ``Limit.binding`` is the requirement missed just beyond it. Where the loop misses one as given, the limit is the value nearest to it that
+    ``Limit.binding`` is the requirement missed just beyond it. Where the loop as given misses a requirement, the limit is the nearest value that
     meets them all, and a note says what is missed; 0 (a rate: inf) if no value does. Raises BadArgument, and any error of ``make``.
     """
     about = QUANTITIES[quantity]

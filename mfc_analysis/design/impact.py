@@ -136,7 +136,7 @@ def impact(
         max_evaluations: of each run, as ``ClosedLoop.simulate``.
         progress: a bar on the terminal. n_jobs: processes, as in ``sweep``.
 
-    Raises BadArgument: no such surface, an arm that cannot move along its normal, or a velocity law whose command no state of it sets.
+    Raises BadArgument: no such surface, an arm that cannot move along its normal, or a velocity law whose command is not set by a state of its own.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     v = _positive("speeds", speeds, FASTEST, "m/s")

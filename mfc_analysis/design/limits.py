@@ -48,9 +48,9 @@ def max_stiffness(
 
     The search varies every environment with a preload (all of them where none has one): it scales the stiffness so that the largest
     translational entry has the value, and keeps the damping. The force at the reference does not change: the preload compensates
-    penetration times the change of stiffness. The scan starts at 1e-8 ``upper`` and ends at the first loss; 0 if stable nowhere. Notes say
-    where softer walls, or stiffer ones beyond a loop that holds on some in between only, differ; and where the loop is passive at the tool
-    (``Linearization.passivity``): then no stiffness is too large, and none is searched.
+    penetration times the change of stiffness. The scan starts at 1e-8 ``upper`` and ends at the first loss; 0 if stable nowhere. A
+    note says so where the loop is not stable on softer walls either, and from where on it is stable again. Where it is passive at the tool
+    (``Linearization.passivity``) no stiffness is too large: none is searched, and a note says so.
 
     Other arguments as ``max_delay``. Raises BadArgument: a loop without an environment, ``upper`` not a positive number up to 1e15.
     """
@@ -98,7 +98,7 @@ def max_delay(
 
     Args:
         loop: as given. upper: [s] end of the search.
-        requirements, at: the limit is where these are just met, at this analysis point; None: the edge of stability.
+        requirements: the limit is where these are just met; None: the edge of stability. at: their analysis point; None: the plant input.
         times: (m,) [s] at which the loop is judged; None: 0 of a Hold, else 21 over the reference. horizon: [s] of the stability verdict.
         progress: a bar on the terminal. n_jobs: processes that judge the values ahead, as in ``sweep``; -1: one on each core. The result is the same.
 
@@ -221,11 +221,11 @@ def max_bandwidth(
 
     Args:
         make_loop: bandwidth [rad/s] -> the loop, or several (payloads, surfaces) that must all meet the requirements.
-        requirements: to be met. times, at: as for ``Requirements.check``. lower, upper: [rad/s] ends of the search.
+        requirements: to be met. times, at: as for ``Requirements.check``. lower: [rad/s] start of the search. upper: [rad/s] its end.
         nominal: [rad/s] where the search starts, upwards if the requirements are met there; None: ``lower``.
 
-    Other arguments as ``max_delay``. WATCH counts as met. Bandwidths from the start on that miss the requirements (too slow, for example) are
-    skipped and noted. 0 if met nowhere, inf if met up to ``upper``. Raises BadArgument, and any error of ``make_loop``.
+    Other arguments as ``max_delay``. WATCH counts as met. Bandwidths from the start on that miss the requirements, because they are too slow for
+    example, are skipped, and a note says so. 0 if met nowhere, inf if met up to ``upper``. Raises BadArgument, and any error of ``make_loop``.
     """
     if not callable(make_loop):
         raise BadArgument("make_loop", make_loop, "a function of the bandwidth [rad/s] that returns a ClosedLoop or several")

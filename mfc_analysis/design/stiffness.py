@@ -183,7 +183,7 @@ def stiffness_map(
     Args:
         make_loop: value (a gain, a lag, a dead time) -> loop in contact. stiffness: (k,) [N/m]. values: (g,). horizon: [s] of the verdict.
 
-    Raises as ``over_stiffness``.
+    Raises the errors of ``over_stiffness``.
     """
     at, k = checks.vector("values", values), checks.vector("stiffness", stiffness)
     if at.size == 0:
@@ -196,7 +196,7 @@ def stable_up_to(loop: ClosedLoop, upper: float = 1e6, lower: float = 1.0, *, ho
 
     inf: stable throughout; NaN: unstable at ``lower``. Checks exact stability over ``horizon`` [s], dead time included, at 20 stiffnesses and
     then between two of them; a narrower window of instability can be missed. As ``design.max_stiffness``, in a tenth of its time.
-    Raises as ``over_stiffness``.
+    Raises the errors of ``over_stiffness``.
     """
     low, high = (checks.number(name, x, low=0.0, high=STIFFEST, strict=True) for name, x in (("lower", lower), ("upper", upper)))
     swept, grid = _line(loop, 0.0, horizon), np.geomspace(low, high, 20)

@@ -49,8 +49,8 @@ class Tuned(Shown):
     case: Case  #: that case
     speed: float  #: [rad/s] ``bandwidth`` where that is tuned, else the smallest crossover of the loop
     binding: tuple[Line, ...]  #: the requirements that bind (or are missed), the tightest first, of that case
-    breaks: tuple[Line, ...]  #: what one more hertz would miss; empty: nothing
-    more: Gains  #: the gains of one more hertz
+    breaks: tuple[Line, ...]  #: the requirements missed with a bandwidth one hertz higher; empty: none
+    more: Gains  #: the gains of that bandwidth
     evaluations: int  #: loops judged
 
     def __str__(self) -> str:

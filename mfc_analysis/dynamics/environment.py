@@ -29,11 +29,11 @@ LoseContact = bool | Sequence[Bools]
 
 @dataclass(frozen=True, eq=False)
 class Environment:
-    r"""A spring-damper environment.
+    r"""A spring-damper environment, fixed in the world: equation 9.19.
 
     Args:
         stiffness: [N/m, Nm/rad] scalar, one per axis in the order of ``axes``, or (6, 6) in the compliance frame (then ``axes`` is not used).
-        damping: [Ns/m, Nms/rad] likewise.
+        damping: [Ns/m, Nm s/rad] likewise.
         pose: 4x4 pose of the compliance frame in the world; None: the tool's start pose.
         axes: directions of the compliance frame, "z", "xyz", "rz", "xyrz", ...
         preload: [N, Nm] the force at ``pose``, scalar or one per axis ((6,) with a (6, 6) stiffness).
@@ -43,9 +43,10 @@ class Environment:
 
     .. math:: f_i = \max(0,\; p_i + (B \dot d)_i) \quad \text{where} \quad p_i = (K d + f_0)_i > 0, \qquad f_i = 0 \text{ elsewhere}
 
-    with d (6,) the coordinates above. p is the elastic force, the penetration times the stiffness: along one axis the surface begins at
-    d = -preload/stiffness, before the pose where the preload presses. A damper acts while p > 0 only: an axis without stiffness and preload
-    does nothing. The force jumps to damping x speed at the touch (Kelvin-Voigt), and is 0 from where it would pull until p = 0, the lift.
+    with d (6,) the tool in the compliance frame: R^T (p_tool - p) and log3(R^T R_tool). p_i is the elastic force, penetration times stiffness:
+    along one axis the surface begins at d = -preload/stiffness, before the pose where the preload presses. A damper acts while p > 0 only: an axis
+    without stiffness and preload does nothing. At the touch the force jumps to damping x speed (Kelvin-Voigt); where it would pull it is 0, until
+    the lift at p = 0.
 
     Raises:
         BadArgument: a negative or non-finite number, a shape that does not fit the axes, an unknown axis, not a pose.

@@ -70,11 +70,11 @@ class Hardware:
 
     Lags act on the commanded torque (velocity), filters on the measured signals. Both are of first order: T y' = u - y.
     ``delay`` is the dead time of each commanded torque (velocity for velocity laws), ``force_delay`` that of the measured wrench. With
-    ``sample_time`` the law runs once per sample: the torque is held in between (zero-order hold), and the law's own states
-    (integrals, filters, LTI outer loops) advance exactly with their inputs held over the sample.
+    ``sample_time`` the law runs once per sample, and the torque is held in between (zero-order hold). The law's own states
+    (integrals, filters, LTI outer loops) then advance exactly, with their inputs held over the sample.
 
-    A sampled controller as it is coded: ``integral_rule`` is the sum that its integrals are ("forward": the one that holds its input,
-    "backward", "tustin"), and with ``derivative_rule`` the velocity is the difference of the encoder over a sample, through
+    Two rules describe a sampled controller as it is coded. ``integral_rule`` says how it sums its integrals: "forward" (the input held over
+    the sample), "backward" or "tustin". With ``derivative_rule`` the velocity is the difference of the encoder over a sample, through
     ``velocity_filter`` by that rule; None: the velocity is measured. "forward" and "tustin" need the filter.
 
     Elastic joints (Spong's model): K (theta - q) + D (theta' - q') drives the link, the motor obeys
@@ -84,27 +84,27 @@ class Hardware:
     filter, is cut at ``force_limit`` and then moved towards 0 by ``force_deadband``: sign(F) max(min(abs(F), limit) - deadband, 0), per component.
 
     Raises:
-        BadArgument: a field is negative, not finite, of another shape than a scalar or (n,), or too small or too large to mean anything:
-            times that are on are 1e-9 to 1e9 s, other fields 1e-12 to 1e15.
+        BadArgument: a field is negative, not finite, neither a scalar nor (n,), or out of range. Times that are on are 1e-9 to 1e9 s, other fields
+            1e-12 to 1e15.
     """
 
     torque_lag: float | Array | None = None  #: [s] time constant of the torque loop, scalar or (n,)
     velocity_lag: float | Array | None = None  #: [s] time constant of the velocity loop under a velocity law, scalar or (n,)
     servo: Servo | None = None  #: the arm's own servo under a velocity law; after the velocity lag
-    delay: float | None = None  #: [s]
-    force_delay: float | None = None  #: [s]
-    sample_time: float | None = None  #: [s]
-    force_filter: float | None = None  #: [s] time constant
-    velocity_filter: float | Array | None = None  #: [s] time constant, scalar or (n,)
-    joint_stiffness: float | Array | None = None  #: [Nm/rad], scalar or (n,)
-    joint_damping: float | Array | None = None  #: [Nm s/rad], scalar or (n,)
+    delay: float | None = None  #: [s] dead time of the commanded torque (velocity), the same for all joints
+    force_delay: float | None = None  #: [s] dead time of the measured wrench
+    sample_time: float | None = None  #: [s] of a sampled controller; None: a continuous one
+    force_filter: float | None = None  #: [s] time constant of the filter of the measured wrench
+    velocity_filter: float | Array | None = None  #: [s] time constant of the filter of the measured velocity, scalar or (n,)
+    joint_stiffness: float | Array | None = None  #: [Nm/rad] of the gears of elastic joints, scalar or (n,)
+    joint_damping: float | Array | None = None  #: [Nm s/rad] of the same, scalar or (n,)
     motor_inertia: float | Array | None = None  #: [kg m^2] on the link side of the gear, scalar or (n,)
-    torque_limit: float | Array | None = None  #: [Nm], scalar or (n,)
+    torque_limit: float | Array | None = None  #: [Nm] of the commanded torque, scalar or (n,)
     velocity_limit: float | Array | None = None  #: [rad/s] of the commanded velocity, scalar or (n,)
     force_limit: float | Array | None = None  #: [N, Nm] of the measured wrench, scalar or (6,)
     force_deadband: float | Array | None = None  #: [N, Nm] of the measured wrench, scalar or (6,); components may be 0
-    feedback: Literal["motor", "link"] = "motor"  #: encoder position of an elastic joint
-    integral_rule: Rule = "forward"  #: of the integrals of a sampled controller
+    feedback: Literal["motor", "link"] = "motor"  #: where the encoder of an elastic joint is
+    integral_rule: Rule = "forward"  #: how a sampled controller sums its integrals: "forward", "backward" or "tustin"
     derivative_rule: Rule | None = None  #: of the velocity of a sampled controller from its encoder; None: measured
 
     def __post_init__(self) -> None:

@@ -36,8 +36,8 @@ SAME = 1e-6  #: relative distance of two roots below which they are a double roo
 class Damped(NamedTuple):
     """A stiffness with its damping."""
 
-    K: Array  #: (6, 6) [N/m, N m/rad]
-    D: Array  #: (6, 6) [N s/m, N m s/rad]
+    K: Array  #: (6, 6) [N/m, Nm/rad]
+    D: Array  #: (6, 6) [N s/m, Nm s/rad]
     modes: Array  #: (6,) [rad/s] undamped, ascending
     ratio: Array  #: (6,) damping ratio of each mode
 
@@ -50,11 +50,11 @@ def cartesian_damping(robot: Robot, q: ArrayLike, stiffness: ArrayLike, ratio: A
     so that Lambda x'' + D x' + K x = 0 decouples into six modes, each with damping ratio ``ratio``.
 
     Args:
-        robot: its mass matrix counts. q: (n,) pose.
-        stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, N m/rad], tool frame (linear, angular).
+        robot: gives the mass matrix. q: (n,) pose.
+        stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, Nm/rad], tool frame (linear, angular).
         ratio: >= 0, scalar or (6,) in the order of increasing modal frequency.
 
-    Returns ``DampingMatrix``: kp the (6, 6) stiffness, kd the (6, 6) damping [N s/m, N m s/rad]. Raises ``BadArgument``; ``NearSingular``
+    Returns ``DampingMatrix``: kp the (6, 6) stiffness, kd the (6, 6) damping [N s/m, Nm s/rad]. Raises ``BadArgument``; ``NearSingular``
     where the robot has no task inertia. Source: Albu-Schaeffer, Ott, Frese, Hirzinger, ICRA 2003, "Cartesian impedance control of
     redundant robots".
     """
@@ -69,8 +69,8 @@ def impedance(robot: Robot, q: ArrayLike, stiffness: ArrayLike, ratio: ArrayLike
     .. math:: \Lambda(q) = Q Q^T, \quad K = Q \,\mathrm{diag}(w^2)\, Q^T, \quad D = 2 Q \,\mathrm{diag}(\zeta w)\, Q^T
 
     Args:
-        robot: its mass matrix counts. q: (n,) pose.
-        stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, N m/rad], tool frame (linear, angular).
+        robot: gives the mass matrix. q: (n,) pose.
+        stiffness: scalar, (6,) or (6, 6) symmetric positive definite [N/m, Nm/rad], tool frame (linear, angular).
         ratio: damping ratio >= 0 of the six modes, scalar or (6,) in the order of increasing modal frequency.
 
     Returns gains that unpack into ``Impedance(**gains)``: stiffness and damping, (6, 6). A note says what the damping ratios are out of contact, by
@@ -108,8 +108,8 @@ def admittance(
     Without lag, servo and dead time: M_d = k_e / w^2, D = 2 damping sqrt(k_e M_d).
 
     Args:
-        bandwidth, natural_frequency, crossover: exactly one [rad/s], as the module ``formulas`` defines them: of T = F_tip / F_d, of w, of L at the
-            force sensor.
+        bandwidth, natural_frequency, crossover: exactly one of these three [rad/s], as ``Achieved`` defines them: the bandwidth of T = F_tip / F_d,
+            w, the crossover of L at the force sensor.
         stiffness: k_e of the wall, in series with that of the tool [N/m] > 0. damping: ratio of the pair, 0.001 to 1000.
         lag: of the velocity [s] >= 0. servo: bandwidth of the servo [rad/s] at -3 dB, None: none; servo_damping: of the servo. As ``Servo``.
         delay: all dead time in the loop, of command, servo and sensor [s] >= 0; half a sample time stands for the sampling.

@@ -68,8 +68,12 @@ def p(
 ) -> Gains:
     """Proportional gain on the integrator 1/(inertia s), laws 9.2 and 9.5: kp = w inertia, one pole at -w.
 
-    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] (all w here) and ``settling_time`` [s], which is the same for
-    both kinds of ``step``. ``inertia``: scalar or array > 0.
+    Args:
+        bandwidth, natural_frequency, crossover, settling_time: exactly one of these four, [rad/s] and [s], as ``Achieved`` defines them.
+            The first three are w here.
+        step: of the settling time; here both kinds, "reference" and "loop", have the same.
+        inertia: scalar or array > 0.
+
     Raises ``BadArgument``: none or two of them given, a number that is not positive, or a ``step`` without a settling time.
     """
     return _design("p", one_of(step, bandwidth, natural_frequency, crossover, settling_time), 1.0, inertia)
@@ -87,8 +91,11 @@ def pi(
 ) -> Gains:
     """PI gains on the integrator 1/(inertia s), laws 9.3-9.5: kp = 2 damping w inertia, ki = w^2 inertia.
 
-    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] as the module defines them, the last the
-    same for both kinds of ``step``; ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0.
+    Args:
+        bandwidth, natural_frequency, crossover, settling_time: exactly one of these four, [rad/s] and [s], as ``Achieved`` defines them.
+        step: of the settling time; here both kinds, "reference" and "loop", have the same.
+        damping: damping ratio of the pair of poles, 0.001 to 1000. inertia: scalar or array > 0.
+
     Raises ``BadArgument`` as ``p``.
     """
     return _design("pi", one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
@@ -106,8 +113,11 @@ def pd(
 ) -> Gains:
     """PD gains on the double integrator 1/(inertia s^2), laws 9.8-9.16: kp = w^2 inertia, kd = 2 damping w inertia.
 
-    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] (of ``step``) as the module defines them;
-    ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
+    Args:
+        bandwidth, natural_frequency, crossover, settling_time: exactly one of these four, [rad/s] and [s], as ``Achieved`` defines them.
+        step: of the settling time: "reference", a step of q_d with v_d = 0, or "loop", the step response of T.
+        damping: damping ratio of the pair of poles, 0.001 to 1000. inertia: scalar or array > 0 [kg m^2 or kg]; 1 for computed torque.
+
     Raises ``BadArgument`` as ``p``.
     """
     return _design("pd", one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
@@ -126,8 +136,12 @@ def pid(
     """PID gains on the double integrator 1/(inertia s^2), laws 9.8-9.16, the third pole at the natural frequency w.
 
     kd = (1 + 2 damping) w inertia, kp = (1 + 2 damping) w^2 inertia, ki = w^3 inertia; with damping 1 a triple pole at -w.
-    Exactly one of ``bandwidth``, ``natural_frequency``, ``crossover`` [rad/s] and ``settling_time`` [s] (of ``step``) as the module defines them;
-    ``damping``: ratio of the pair of poles, 0.001 to 1000; ``inertia``: scalar or array > 0 [kg m^2 or kg], 1 for computed torque.
+
+    Args:
+        bandwidth, natural_frequency, crossover, settling_time: exactly one of these four, [rad/s] and [s], as ``Achieved`` defines them.
+        step: of the settling time: "reference", a step of q_d with v_d = 0, or "loop", the step response of T.
+        damping: damping ratio of the pair of poles, 0.001 to 1000. inertia: scalar or array > 0 [kg m^2 or kg]; 1 for computed torque.
+
     Raises ``BadArgument`` as ``p``.
     """
     return _design("pid", one_of(step, bandwidth, natural_frequency, crossover, settling_time), damping, inertia)
@@ -154,13 +168,13 @@ def joint_pid(
 
     Args:
         robot: its mass matrix gives the effective inertia.
-        q: (n,) a pose; (m, n) poses; or a joint reference ``ref(t)`` with ``period`` or ``duration``: the largest inertia of each
-            joint along it, and the coupled loop at 41 times.
-        bandwidth, natural_frequency, crossover, settling_time: exactly one, as for ``pid``; step: whose settling time, of each joint alone.
-        damping: 0.001 to 1000.
+        q: (n,) a pose, (m, n) several poses, or a joint reference ``ref(t)`` with ``period`` or ``duration``. The largest inertia of each joint
+            counts; along a reference the coupled loop is judged at 41 times.
+        bandwidth, natural_frequency, crossover, settling_time: exactly one, as for ``pid``. step: whose settling time, of each joint alone.
+        damping: damping ratio of the pair of poles, 0.001 to 1000.
         torque_lag, delay: [s] as in ``Hardware``: first-order lag and dead time of each torque, in the coupled loop only; 0: none.
 
-    Returns gains of shape (n,) [N m/rad, N m/(rad s), N m s/rad; N and m for prismatic joints]. Raises ``BadArgument`` as ``pid``, and for a q of
+    Returns gains of shape (n,) [Nm/rad, Nm/(rad s), Nm s/rad; N and m for prismatic joints]. Raises ``BadArgument`` as ``pid``, and for a q of
     another shape or a reference without an end. Warns (``MfcWarning``) where the model seems to lack rotor inertia, as ``robots.lacks_armature``.
     """
     where = motion(robot, q)
@@ -199,7 +213,7 @@ def force_pi(
     ``natural_frequency`` always means p = w. L is the loop at the force sensor, in contact with the environment.
 
     Args:
-        bandwidth, natural_frequency, crossover, settling_time: exactly one, as the module defines them [rad/s, s].
+        bandwidth, natural_frequency, crossover, settling_time: exactly one of these four, [rad/s] and [s], as ``Achieved`` defines them.
         step: whose settling time, of F_d -> F_tip ("reference") or of T ("loop"); both with the lag.
         stiffness: of the environment [N/m] > 0. mass: effective, along the contact [kg] > 0. lag: of the torque [s] >= 0.
         friction: viscous, of the arm [N s/m] >= 0. damping: ratio of the pair, 0.001 to 1000.

@@ -28,15 +28,15 @@ class Admittance(ToolLaw):
 
     Args:
         F_d: (6,) [N, Nm] wrench that the tool shall apply, tool frame.
-        inertia: M_d [kg, kg m^2], damping: D [Ns/m, Nms/rad], stiffness: K [N/m, Nm/rad]; scalar, (6,) or (6, 6) on (linear, angular) in the tool
+        inertia: M_d [kg, kg m^2], damping: D [Ns/m, Nm s/rad], stiffness: K [N/m, Nm/rad]; scalar, (6,) or (6, 6) on (linear, angular) in the tool
             frame; (k,) or (k, k) on k selected directions. A stiffness of 0 along an axis controls the force there; None: no spring.
         inverse_damping: [-] of the inverse of J; 0: raises NearSingular near a singularity. As ``damping`` of 9.5.
         axes: the directions of the tool that are controlled, None: all six; as in 9.5. On an arm with more joints the others move as they happen to.
 
     Surfaces with a damper need the hardware to have velocity_lag or servo: the joints then have a velocity of their own.
 
-    Closed forms, one direction on a spring k_e through a velocity lag T: M_d T s^3 + (M_d + D T) s^2 + D s + k_e + K, stable iff
-    k_e + K < D/T + D^2/M_d; through a servo (w, zeta): s (M_d s + D)(s^2 + 2 zeta w s + w^2) + (k_e + K) w^2.
+    Closed forms, one direction on a spring k_e through a velocity lag T: M_d T s^3 + (M_d + D T) s^2 + D s + k_e + K, stable iff k_e + K < D/T +
+    D^2/M_d. Through a servo (w, zeta): s (M_d s + D)(s^2 + 2 zeta w s + w^2) + (k_e + K) w^2.
 
     Raises BadArgument: an inertia that is not positive definite.
     """

@@ -45,13 +45,13 @@ class ConstraintSet:
         natural: what the environment fixes, as ``{"vx": 0, ..., "fz": 0}`` over vx vy vz wx wy wz fx fy fz mx my mz of the
             compliance frame: six components, each 0 (or only their names). General form: a (6, r) matrix whose columns span
             the twists left free.
-        artificial: reference values of the other six [m/s, rad/s, N, N m], 0 where omitted. General form: a (6, 6 - r)
+        artificial: reference values of the other six [m/s, rad/s, N, Nm], 0 where omitted. General form: a (6, 6 - r)
             matrix whose columns span the wrenches the environment bears; omitted: all that are reciprocal to the twists.
         frame: (4, 4) pose of the compliance frame in the tool frame, or a Pinocchio SE3; default: the tool frame.
 
     Raises:
-        BadArgument: an axis with both or neither of its motion and force constrained naturally, a natural value that is
-            not 0, twists and wrenches that are not reciprocal or do not add up to rank 6, or ``frame`` not a pose.
+        BadArgument: an axis of which both or neither of motion and force are natural constraints, or a natural value that is not 0. Also twists and
+            wrenches that are not reciprocal or do not add up to rank 6, and a ``frame`` that is not a pose.
         UnknownName: a component that is not one of the twelve.
     """
 
@@ -95,8 +95,8 @@ class ConstraintSet:
     def rows(self) -> Array:
         """A of 9.24: (k, 6) orthonormal rows with A V_b = 0 for every free twist V_b, in tool coordinates (linear, angular).
 
-        With a compliance frame away from the tool origin the rows mix metres and radians: the dynamic projection of 9.24 does
-        not depend on that, the selection I - A^T A does.
+        With a compliance frame away from the tool origin the rows mix metres and radians. The dynamic projection of 9.24 does not depend on that;
+        the selection I - A^T A does.
         """
         A = self.wrenches.T @ adjoint(inverse(self.frame))
         U, _, Vt = np.linalg.svd(A, full_matrices=False)
@@ -109,7 +109,7 @@ class ConstraintSet:
 
     @property
     def F_d(self) -> Array:
-        """(6,) desired wrench of the artificial constraints, in tool coordinates at the tool origin [N, N m]."""
+        """(6,) desired wrench of the artificial constraints, in tool coordinates at the tool origin [N, Nm]."""
         return _frozen(adjoint(inverse(self.frame)).T @ np.array([self.artificial.get(name, 0.0) for name in FORCE]))
 
     def __repr__(self) -> str:

@@ -31,7 +31,7 @@ class ForceLaw(JointLaw):
         object.__setattr__(self, "F_d", checks.array("F_d", self.F_d, (6,)))
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless the force gains have six components."""
+        """Raises BadArgument unless the force gains have six components."""
         for gain in self.gains().values():
             gain.check(6, "components of the wrench")
 
@@ -95,7 +95,7 @@ class DampedForcePI(ForceLaw):
     :math:`\tau = \hat g(q) + J^T(F_d + K_{fp} F_e + K_{fi} \int F_e - K_{damp} V)`.
 
     Args:
-        F_d: (6,) [N, Nm] in the tool frame; kfp: [-], kfi: [1/s], kdamp: [Ns/m, Nms/rad]; scalar, (6,) or (6, 6).
+        F_d: (6,) [N, Nm] in the tool frame; kfp: [-], kfi: [1/s], kdamp: [Ns/m, Nm s/rad]; scalar, (6,) or (6, 6).
 
     Closed form, one mass on a spring k_e (damper c_e), friction b:
     m s^3 + (b + kdamp + c_e (1 + kfp)) s^2 + (k_e (1 + kfp) + c_e kfi) s + k_e kfi.

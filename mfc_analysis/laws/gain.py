@@ -69,7 +69,7 @@ class Gain:
         return matvec(self.array, x) if self._factor is None else x * self._factor
 
     def check(self, size: int, what: str) -> None:
-        """Raise BadArgument unless this gain acts on vectors of ``size`` (``what``: 'joints', 'twist')."""
+        """Raises BadArgument unless this gain acts on vectors of ``size`` (``what``: 'joints', 'twist')."""
         if self.array is not None and self.array.ndim and self.array.shape[0] != size:
             takes = f"a scalar, shape ({size},) or ({size}, {size}): one entry for each of the {size} {what}"
             raise BadArgument(self.name, f"shape {self.array.shape}", takes)

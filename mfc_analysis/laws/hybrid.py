@@ -32,12 +32,12 @@ class HybridMotionForce(ToolLaw):
 
     Args:
         F_d: (6,) [N, Nm] tool frame.
-        kp: [1/s^2], ki: [1/s^3], kd: [1/s], kfp: [-], kfi: [1/s], kdamp: [Ns/m, Nms/rad]; each a scalar, (6,) or (6, 6).
+        kp: [1/s^2], ki: [1/s^3], kd: [1/s], kfp: [-], kfi: [1/s], kdamp: [Ns/m, Nm s/rad]; scalar, (6,) or (6, 6).
         constraints: (k, 6) rows A with A V_b = 0, constant in the tool frame, or a ``ConstraintSet``.
         projection: "dynamic": P = 1 - A^T (A Lambda^-1 A^T)^-1 A Lambda^-1; "selection": 1 - A^T A, orthonormal rows only.
         form: "standard"; "printed": eta inside (1 - P), V_d' and X_e' as on the page; "printed_eta": only eta misplaced.
-        axes: the directions of the tool that the law controls, by motion or force, on an arm that cannot move it along all six, such as
-            "xyzrz" on a SCARA; see ``TaskComputedTorque``. The constraints are among them, and motion gains have one entry for each.
+        axes: the directions of the tool that the law controls, by motion or force; None: all six. For an arm that cannot move it along all six,
+            such as "xyzrz" for a SCARA; see ``TaskComputedTorque``. The constraints are among them, and motion gains have one entry for each.
 
     On a redundant arm all of h^ is compensated (J^T eta = h - J^T Lambda J' v), so the null space has the damping of the plant only.
     """
@@ -85,7 +85,7 @@ class HybridMotionForce(ToolLaw):
                 raise BadArgument("constraints", A, f"rows within the selected directions, axes={self.selection.axes!r}")
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless the gains fit and the arm has a joint for each direction: six, or those of ``axes``."""
+        """Raises BadArgument unless the gains fit and the arm has a joint for each direction: six, or those of ``axes``."""
         size = 6 if self.selection is None else len(self.selection.rows)
         for name, gain in self.gains().items():
             motion = name in ("kp", "ki", "kd")

@@ -50,7 +50,7 @@ class Impedance(ToolLaw):
     X_e, V_e = [Ad] V_d - V and F_tip are in the tool frame, as in 9.16 and 9.19: F_tip is the wrench that the robot applies.
 
     Args:
-        stiffness: K [N/m, Nm/rad], damping: D [Ns/m, Nms/rad], inertia: M_d [kg, kg m^2]; scalar, (6,) or (6, 6) on (linear, angular) in the tool
+        stiffness: K [N/m, Nm/rad], damping: D [Ns/m, Nm s/rad], inertia: M_d [kg, kg m^2]; scalar, (6,) or (6, 6) on (linear, angular) in the tool
             frame; (k,) or (k, k) on k selected directions. inertia None: that of the arm, Lambda(q), and no force sensor.
         F_d: (6,) [N, Nm] a wrench that the tool presses with on top of the spring, tool frame; None: none.
         feedforward: False: without the terms of Lambda^, which need a J of full rank. The arm then does not follow a moving reference exactly.
@@ -94,7 +94,7 @@ class Impedance(ToolLaw):
             without_sensor(self)
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless the gains fit and the arm has the joints that Lambda^ needs."""
+        """Raises BadArgument unless the gains fit and the arm has the joints that Lambda^ needs."""
         super().check(n)
         if n < 6 and self.selection is None and (self.feedforward or self.inertia):
             takes = "an arm of six joints or more, as Lambda needs a J of full rank; with fewer: axes=, or feedforward=False without an inertia"

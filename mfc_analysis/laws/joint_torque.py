@@ -24,12 +24,12 @@ class JointPID(JointLaw):
 
     Args:
         kp: [Nm/rad], ki: [Nm/(rad s)], kd: [Nm s/rad]; scalar, (n,) or (n, n); None: no such term.
-        anti_windup: T [s]. Where a torque limit of the hardware cuts the torque, the integral is taken back by back-calculation:
-            z' = e + Ki^-1 lost / T, lost = sat(tau) - tau. None: the integral winds up. Without saturation it does nothing, and so it does
-            nothing in the linear model of a loop whose torques do not saturate.
+        anti_windup: time constant T [s] of back-calculation, where a torque limit of the hardware cuts the torque: z' = e + Ki^-1 lost / T, lost =
+            sat(tau) - tau. None: the integral winds up. It acts only while a torque saturates, so not in the linear model of a loop whose torques
+            do not.
 
-    Closed form on one joint about th0: I s^3 + (b + kd) s^2 + (kp - m g r sin th0) s + ki; stable iff all coefficients are
-    positive and ki < (b + kd)(kp - m g r sin th0)/I.
+    Closed form on one joint about th0: I s^3 + (b + kd) s^2 + (kp - m g r sin th0) s + ki. Stable iff all coefficients are positive and ki < (b +
+    kd)(kp - m g r sin th0)/I.
     """
 
     kp: Gain
@@ -57,8 +57,8 @@ class JointPID(JointLaw):
 class TorqueFeedforward(JointLaw):
     r"""Feedforward torque only: equation 9.9, :math:`\tau = \hat M(q_d) \ddot q_d + \hat h(q_d, \dot q_d)`.
 
-    ``form="printed"``: the page writes the acceleration of the *error*, tau = M^(q_d)(q_d'' - q'') + h^(q_d, v_d): an
-    algebraic loop, solved together with q'', that changes the inertia to M + M^.
+    ``form="printed"``: the page writes the acceleration of the error, tau = M^(q_d)(q_d'' - q'') + h^(q_d, v_d). This is an algebraic loop, solved
+    together with q'', and changes the inertia to M + M^(q_d).
     """
 
     form: Literal["standard", "printed"] = "standard"
@@ -94,9 +94,9 @@ class ComputedTorque(JointLaw):
         form: "standard": h^ at the measured (q, v); with an exact model the error obeys e''' + kd e'' + kp e' + ki e = 0.
             "printed": h^ at (q_d, v_d), as the page says; dh/dq and dh/dv stay in the loop.
         mass: a constant (n, n) matrix [kg m^2] instead of M^(q): the decentralised case when it is diagonal.
-        anti_windup: T [s]. Where a torque limit of the hardware cuts the torque, the integral is taken back by back-calculation:
-            z' = e + Ki^-1 M^^-1 lost / T, lost = sat(tau) - tau. None: the integral winds up. Without saturation it does nothing, and so it does
-            nothing in the linear model of a loop whose torques do not saturate.
+        anti_windup: time constant T [s] of back-calculation, where a torque limit of the hardware cuts the torque: z' = e + Ki^-1 (M^)^-1 lost / T,
+            lost = sat(tau) - tau. None: the integral winds up. It acts only while a torque saturates, so not in the linear model of a loop whose
+            torques do not.
 
     Sources: chapter, eq. 9.10, 9.12; Lynch & Park, Modern Robotics, ch. 11.
     """
@@ -120,11 +120,11 @@ class ComputedTorque(JointLaw):
         self.check_anti_windup()
 
     def lost_command(self, model: Primitives, now: Measured, ref: JointReference, lost: Vector) -> Vector:
-        """M^^-1 lost."""
+        """(M^)^-1 lost: the acceleration that is lost."""
         return acceleration_of(model, now.q, lost, self.mass)
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless gains and mass fit n joints."""
+        """Raises BadArgument unless gains and mass fit n joints."""
         super().check(n)
         check_mass(self.mass, n)
 
@@ -150,9 +150,9 @@ class InverseDynamics(JointLaw):
     With an exact model q'' = a_q: n decoupled double integrators.
 
     Args:
-        outer: e -> a_q [1/s^2]: a proper python-control LTI system (SISO: one copy for each joint; or n x n), or its matrices
-            (A, B, C, D) or (A, B, C, D, dt); ``dict(kp=, ki=, kd=)`` for a PID. A discrete one, a difference equation as it is coded, runs
-            at its own dt [s], which must be the ``sample_time`` of the hardware.
+        outer: e -> a_q [1/s^2], one of: a proper python-control LTI system (SISO: a copy for each joint; or n x n); its matrices (A, B, C, D) or
+            (A, B, C, D, dt); ``dict(kp=, ki=, kd=)`` for a PID. A discrete system is the difference equation as it is coded: its dt [s] must be the
+            ``sample_time`` of the hardware.
 
     Raises:
         BadArgument: the system is improper, discrete without its dt, or neither 1 x 1 nor n x n; an unknown key.
@@ -192,7 +192,7 @@ class InverseDynamics(JointLaw):
         return {name: gain for name, gain in super().gains().items() if gain}
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless the outer loop fits n joints."""
+        """Raises BadArgument unless the outer loop fits n joints."""
         super().check(n)
         if self.system is not None and self.system[3].shape not in ((1, 1), (n, n)):
             got = f"{self.system[3].shape[1]} inputs and {self.system[3].shape[0]} outputs"
@@ -283,11 +283,11 @@ def mass_matrix(given: ArrayLike) -> Array:
 
 
 def acceleration_of(model: Primitives, q: Vector, tau: Vector, mass: ArrayLike | None) -> Vector:
-    """(..., n) M^^-1 tau by the controller's model, or by its constant mass matrix."""
+    """(..., n) (M^)^-1 tau by the controller's model, or by its constant mass matrix."""
     return model.solve_mass(q, tau) if mass is None else matvec(np.asarray(np.linalg.inv(np.asarray(mass)), float), tau)
 
 
 def check_mass(mass: ArrayLike | None, n: int) -> None:
-    """Raise BadArgument unless a constant mass matrix fits n joints."""
+    """Raises BadArgument unless a constant mass matrix fits n joints."""
     if mass is not None and np.shape(mass) != (n, n):
         raise BadArgument("mass", f"shape {np.shape(mass)}", f"a matrix of shape ({n}, {n})")

@@ -73,9 +73,9 @@ class JointReference:
 class ToolReference:
     """Desired tool motion and force at the evaluation times."""
 
-    X: Pose  #: (..., 4, 4) in the base
-    V: Vector  #: (..., 6) body twist of the reference, in its own frame
-    dV: Vector  #: (..., 6)
+    X: Pose  #: (..., 4, 4) pose in the base
+    V: Vector  #: (..., 6) body twist of the reference [m/s, rad/s], in its own frame
+    dV: Vector  #: (..., 6) rate of the components of V [m/s^2, rad/s^2]
     F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) desired wrench on the environment, tool frame; 0 without a force reference
 
 
@@ -83,10 +83,10 @@ class ToolReference:
 class Measured:
     """Inputs of a law: measured signals and its own states."""
 
-    q: Vector  #: (..., n)
+    q: Vector  #: (..., n) [rad, m]
     v: Vector  #: (..., n) [rad/s, m/s]
-    F: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) measured F_tip, tool frame; 0 without a force sensor
-    states: Mapping[str, Vector] = field(default_factory=dict)  #: slot -> its state
+    F: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) measured F_tip [N, Nm], tool frame; 0 without a force sensor
+    states: Mapping[str, Vector] = field(default_factory=dict)  #: state of each slot, by its name
 
     def __getitem__(self, slot: str) -> Vector | None:
         return self.states.get(slot)
@@ -95,22 +95,22 @@ class Measured:
 class Action(NamedTuple):
     """Outputs of a law: command, rates of its states and error."""
 
-    command: Vector  #: torque or joint velocity (..., n)
-    rates: Mapping[str, Vector]  #: slot -> rate
+    command: Vector  #: (..., n) torque [Nm, N] or joint velocity [rad/s, m/s]
+    rates: Mapping[str, Vector]  #: rate of the state of each slot, by its name
     error: Vector  #: e (..., n) or X_e (..., 6), (..., k) of k selected directions
 
 
 class Law(ABC):
     """Base class of all laws. Derive from ``JointLaw`` or ``ToolLaw`` and decorate with ``define``.
 
-    In its methods ``model`` is the controller's model of the robot, ``now`` what is measured, ``ref`` the reference at the same times, ``tap``
-    names a signal at which the loop can be opened, and ``joints`` are the names of the joints.
+    In its methods ``model`` is the controller's model of the robot, ``now`` what is measured, and ``ref`` the reference at the same times. ``tap``
+    names a signal at which the loop can be opened; ``joints`` are the names of the joints.
     """
 
-    equation: ClassVar[str]  #: number in the chapter, or a few words for a law that it does not have
+    equation: ClassVar[str]  #: number in the chapter, or a few words for a law that is not in it
     plant: ClassVar[Literal["velocity", "torque"]] = "torque"
     space: ClassVar[Literal["joint", "tool"]] = "joint"
-    opens_at: ClassVar[tuple[str, ...]] = ("torque", "position")  #: of the class; a law without force feedback drops "force" from its own
+    opens_at: ClassVar[tuple[str, ...]] = ("torque", "position")  #: analysis points of the class; a law without force feedback has no "force"
     senses_force: ClassVar[bool] = False
     follows_motion: ClassVar[bool] = True  #: False: the reference is a Hold, and a reference step is a step of F_d
     forms: ClassVar[tuple[str, ...]] = ("standard",)
@@ -119,7 +119,7 @@ class Law(ABC):
         "Siciliano et al., Robotics: Modelling, Planning and Control, ch. 8",
     )
     typst: ClassVar[str] = ""  #: the equation, as Typst math
-    units: ClassVar[Mapping[str, str]] = {}  #: gain -> unit
+    units: ClassVar[Mapping[str, str]] = {}  #: unit of each gain
     inverse_damping: float = 0.0  #: [-] of the inverse of J, where the law has one; 0: raises NearSingular near a singularity
     selection: Selection | None = None  #: the directions that a tool law controls; None: all six
     sample_time: float | None = None  #: [s] of a law that is a difference equation; None: it is a differential equation
@@ -171,7 +171,7 @@ class Law(ABC):
         return self.error_channels(joints)
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless the gains fit an arm of n joints, and the arm has a joint for each selected direction."""
+        """Raises BadArgument unless the gains fit an arm of n joints, and the arm has a joint for each selected direction."""
         size, what = (n, "joints") if self.space == "joint" else (6, "components of the twist")
         if self.selection is not None:
             size, what = len(self.selection.rows), "selected directions"

@@ -61,22 +61,22 @@ class TaskComputedTorque(ToolLaw):
             decays as exp(-c t) at rest; 0: it has no damping and drifts.
         damping: [-] of the inverse of J; 0: raises NearSingular near a singularity. See ``inverse``.
         inverse: how a redundant arm shares a tool acceleration among its joints; without effect where it has a joint for each direction and no more.
-            "dynamic": as above, with the least kinetic energy; J M^^-1 N^T = 0, so no null-space torque accelerates the tool.
+            "dynamic": as above, with the least kinetic energy; J (M^)^-1 N^T = 0, so no null-space torque accelerates the tool.
             "euclidean": tau = M^ (J^# (command - J' v) - c (1 - J^# J) v) + h^ with the Moore-Penrose J^#, the least squares of joint accelerations
             (radians and metres alike).
         axes: the directions of the tool that are controlled, None: all six. "xyz", "xyzrz", or orthonormal rows S (k, 6) that select components
             of the twist V_b and of X_e, (linear, angular) in the tool frame; k is at most the number of joints. Rows without rotations control the
             position alone, X_e = S R^T (p_d - p), whatever the orientation. Of fewer than six directions V_e is the rate of X_e.
-        anti_windup: T [s]. Where a torque limit of the hardware cuts the torque, the integral is taken back by back-calculation:
-            z' = X_e + Ki^-1 J M^^-1 lost / T, lost = sat(tau) - tau. None: the integral winds up. Without saturation it does nothing, and so it does
-            nothing in the linear model of a loop whose torques do not saturate.
+        anti_windup: time constant T [s] of back-calculation, where a torque limit of the hardware cuts the torque: z' = X_e + Ki^-1 J (M^)^-1 lost
+            / T, lost = sat(tau) - tau. None: the integral winds up. It acts only while a torque saturates, so not in the linear model of a loop
+            whose torques do not.
 
-    With ``damping`` the inverse of J is J^T (J J^T + damping^2)^-1; in the dynamic form of a redundant arm Lambda^ is
-    (J M^^-1 J^T + damping^2 n / trace(M^))^-1, which is the same where M^ is a multiple of 1 and does not change if the arm is heavier by a factor.
+    With ``damping`` the inverse of J is J^T (J J^T + damping^2)^-1; in the dynamic form of a redundant arm Lambda^ is (J (M^)^-1 J^T + damping^2 n
+    / trace(M^))^-1. The two are the same where M^ is a multiple of 1, and the damping does not change if the arm is heavier by a factor.
     It weakens the command everywhere: by the factor s^2 / (s^2 + damping^2) along a direction of J with the singular value s.
 
-    Closed form: with an exact model and scalar gains, six times s^3 + kd s^2 + kp s + ki in error coordinates (X_e, V_e, z); with ``axes``
-    k times, and of fewer than six directions X_e'' + Kd X_e' + Kp X_e + Ki z = 0 exactly, however large.
+    Closed form, with an exact model and scalar gains: six times s^3 + kd s^2 + kp s + ki in error coordinates (X_e, V_e, z), with ``axes`` k times.
+    Of fewer than six directions X_e'' + Kd X_e' + Kp X_e + Ki z = 0 exactly, however large the error is.
     """
 
     kp: Gain
@@ -106,12 +106,12 @@ class TaskComputedTorque(ToolLaw):
         self.check_anti_windup()
 
     def lost_command(self, model: Primitives, now: Measured, ref: ToolReference, lost: Vector) -> Vector:
-        """J M^^-1 lost: the acceleration of the tool that is lost."""
+        """J (M^)^-1 lost: the acceleration of the tool that is lost."""
         a = acceleration_of(model, now.q, lost, self.mass)
         return self.task(model, now.q, ref).through(model.jacobian(now.q, a))
 
     def check(self, n: int) -> None:
-        """Raise BadArgument unless gains (6, or one for each selected direction) and mass (n, n) fit."""
+        """Raises BadArgument unless gains (6, or one for each selected direction) and mass (n, n) fit."""
         super().check(n)
         check_mass(self.mass, n)
 

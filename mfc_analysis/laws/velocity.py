@@ -91,7 +91,7 @@ class VelocityFeedforwardPI(_JointVelocity):
     r"""Feedforward with proportional-integral feedback: equation 9.4, :math:`u = \dot q_d + K_p e + K_i \int e`.
 
     Args:
-        kp: [1/s], ki: [1/s^2]; scalar, (n,) or (n, n); ki None: no integral.
+        kp: [1/s], ki: [1/s^2]; scalar, (n,) or (n, n); None: no integral.
 
     Closed form: e'' + kp e' + ki e = 0 for any q_d.
     """
@@ -116,9 +116,9 @@ class TaskVelocity(ToolLaw):
 
     Args:
         kp: [1/s], ki: [1/s^2]; scalar, (6,) or (6, 6), on (linear, angular) in the tool frame; (k,) or (k, k) on k selected directions.
-        form: "standard"; "printed": X_e = X_d - X as the page writes it, taken in the tool frame: the (linear, angular) part
-            of X^-1 (X_d - X), whose angular part is sin(angle) times the axis; "no_adjoint": V_d without [Ad] (a common mistake),
-            which couples the error by -ad(V_d) X_e at first order.
+        form: "standard"; "printed"; "no_adjoint". "printed": X_e = X_d - X as the page writes it, taken in the tool frame: the (linear, angular)
+            part of X^-1 (X_d - X). Its angular part is sin(angle) times the axis. "no_adjoint": V_d without [Ad], a common mistake, which couples
+            the error by -ad(V_d) X_e at first order.
         damping: [-] of the inverse of J; 0: raises NearSingular near a singularity.
         axes: the directions of the tool that are controlled, None: all six. "xyz", "xyzrz", or orthonormal rows S (k, 6) that select components
             of the twist V_b and of X_e, (linear, angular) in the tool frame; k is at most the number of joints. On an arm with more than k

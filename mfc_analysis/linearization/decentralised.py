@@ -25,7 +25,7 @@ class Decentralised(Shown):
     """n separate loops at m times, k states each: M_jj q'' + b_j q' + (dg/dq)_jj q = tau under the diagonal of the law."""
 
     times: Array  #: (m,) [s]
-    joints: tuple[str, ...]  #: n
+    joints: tuple[str, ...]  #: (n,) names
     A: Array  #: (m, n, k, k)
     b: Array  #: (m, n, k) column of the joint's torque (velocity) command
     c: Array  #: (m, n, k) row of the command: command = c x

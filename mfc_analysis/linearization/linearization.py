@@ -51,8 +51,8 @@ class Linearization:
     and include the dead time.
 
     Made by ``ClosedLoop.linearize`` from the ``equations`` of the loop at an operating ``point``, in ``coordinates`` "state" or "error".
-    In its methods ``index`` is one of the m times (0: the first), ``at`` an analysis point (None: the plant input), ``channel`` one of its
-    channels, by number or name, and ``frequencies`` are w (k,) [rad/s]. ``ax``: to draw in; None: a new figure of pyplot.
+    In its methods ``index`` is one of the m times (0: the first) and ``at`` an analysis point (None: the plant input). ``channel`` is one of its
+    channels, by number or name; ``frequencies`` are w (k,) [rad/s]. ``ax``: to draw in; None: a new figure of pyplot.
     """
 
     equations: Equations
@@ -70,7 +70,7 @@ class Linearization:
 
     @property
     def times(self) -> Array:
-        """(m,) [s]."""
+        """(m,) [s] of the operating points."""
         return self.point.times
 
     @cached_property
@@ -96,22 +96,22 @@ class Linearization:
 
     @property
     def A(self) -> Array:
-        """(m, nx, nx) of the closed loop."""
+        """(m, nx, nx) state matrix of the closed loop."""
         return self._closed[0]
 
     @property
     def B(self) -> Array:
-        """(m, nx, nu) from reference, disturbance at the joints, F_d."""
+        """(m, nx, nu) input matrix: reference, disturbance at the joints, F_d."""
         return self._closed[1]
 
     @property
     def C(self) -> Array:
-        """(m, ny, nx) to q, error, commanded torque, F_tip."""
+        """(m, ny, nx) output matrix: q, error, commanded torque, F_tip."""
         return self._closed[2]
 
     @property
     def D(self) -> Array:
-        """(m, ny, nu)."""
+        """(m, ny, nu) feedthrough matrix."""
         return self._closed[3]
 
     @cached_property
@@ -265,9 +265,9 @@ class Linearization:
         return loop_model(self._without_wire_delay(self._alone(self.opened_for(at), index), pade, at), at, channel)
 
     def second_opinion(self, index: int = 0, at: str | None = None, channel: int | str | None = None) -> SecondOpinion:
-        """The figures of python-control beside ours, of the same StateSpace at one time; each difference explained by a rule, or WATCH.
+        """The metrics of python-control beside ours, of the same StateSpace at one time. Each difference is explained by a rule, or WATCH.
 
-        ``channel`` None: the one with the smallest phase margin. Raises as ``loop``.
+        ``channel`` None: the one with the smallest phase margin. Raises the errors of ``loop``.
         """
         from mfc_analysis.linearization.second_opinion import second_opinion
 
@@ -309,7 +309,10 @@ class Linearization:
         return margins(self.opened_for(at), at, self.stability if self.opened.delayed else None)
 
     def disk_margin(self, at: str | Sequence[str] | None = None, frequencies: ArrayLike | None = None, n_jobs: int | None = None) -> DiskMargin:
-        """Disk margin of all loops at once (m,), at one analysis point or several together; ``n_jobs`` as ``margins``. Raises UnknownPoint."""
+        """Disk margin of all loops at once (m,), at one analysis point or several together; ``n_jobs`` as ``margins``.
+
+        ``frequencies`` (nf,) [rad/s]: only at these; None: at all, exact. Raises UnknownPoint, and BadArgument for other frequencies.
+        """
         from mfc_analysis.analysis.disk import disk_margin
 
         points = tuple(self._at(one) for one in at) if isinstance(at, (list, tuple)) and at else (self._at(at),)
@@ -328,10 +331,10 @@ class Linearization:
         return frequency_response(self.opened_for(at), w, at)
 
     def port(self, frequencies: ArrayLike, at: str = "tool") -> Port:
-        """Driving-point admittance Y(jw) of the loop as given, in contact or not, at w (k,) [rad/s] > 0; dead time exact: (m, k, 6, 6).
+        """(m, k, 6, 6) driving-point admittance Y(jw) of the loop as given, in contact or not, at w (k,) [rad/s] > 0, dead time exact.
 
-        ``at`` "tool": wrench F [N, Nm] on the robot at the tool origin -> its body twist [m/s, rad/s], tool frame; a force sensor sees -F too.
-        "joints": torques -> joint rates, (m, k, n, n). With a sample time: the part of the velocity at the frequency of the force, see
+        ``at`` "tool": from the wrench F [N, Nm] on the robot at the tool origin to its body twist [m/s, rad/s], tool frame; a force sensor sees -F.
+        "joints": from torques to joint velocities, (m, k, n, n). With a sample time: the part of the velocity at the frequency of the force, see
         ``analysis.port``. Raises BadArgument (frequencies, ``at``).
         """
         from mfc_analysis.analysis.port import Port, admittance
@@ -343,7 +346,7 @@ class Linearization:
         return Port(self.times, at, port.names, w, admittance(port, w), self.dt)
 
     def passivity(self, at: str = "tool") -> Passivity:
-        """Whether the port is passive, at each of the m times: then no passive environment makes the loop unstable. ``at`` as ``port``.
+        """Whether the port is passive at each of the m times: no passive environment then makes the loop unstable. ``at`` as ``port``.
 
         Where it is not: over which frequencies, in which direction, and how much damping at the port makes it so. Raises BadArgument.
         """
@@ -358,7 +361,7 @@ class Linearization:
         return port_system(self.equations, own.opened, self.point.x, at)
 
     def frd(self, frequencies: ArrayLike, at: str | None = None, channel: int | str | None = None, index: int = 0) -> FrequencyResponseData:
-        """L(jw) at w [rad/s] of one channel at one time as ``control.FrequencyResponseData``, dead time included. Raises as ``loop``."""
+        """L(jw) at w [rad/s] of one channel at one time as ``control.FrequencyResponseData``, dead time included. Raises the errors of ``loop``."""
         from mfc_analysis.linearization.exported import measured_model
 
         at = self._at(at)
@@ -367,7 +370,7 @@ class Linearization:
     def compare(self, frd: Any, at: str | None = None, channel: int | str | None = None, index: int = 0) -> Comparison:
         """A measured L(jw) of one channel (default: the first) over the model's at one time: misfit, margins of both, and a verdict in words.
 
-        ``frd``: of ``mfc.frf.estimate``, or a ``control.FrequencyResponseData``, of L in negative feedback. Raises as ``loop``, and BadArgument.
+        ``frd``: of ``mfc.frf.estimate``, or a ``control.FrequencyResponseData``, of L in negative feedback. Raises BadArgument and those of ``loop``.
         """
         from mfc_analysis.analysis.comparison import Comparison, measured_loop
 
@@ -418,7 +421,7 @@ class Linearization:
     ) -> Axes:
         """Bode plot of L(jw) at one time with its margins, opened at ``at``; ``channel`` None: the one with the smallest phase margin.
 
-        ``ax``: two Axes for magnitude and phase, or one that is divided. Returns that of the magnitude. Raises as ``loop``.
+        ``ax``: two Axes for magnitude and phase, or one that is divided. Returns that of the magnitude. Raises the errors of ``loop``.
         """
         from mfc_analysis.linearization.pictures import bode
 

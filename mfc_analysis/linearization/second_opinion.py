@@ -52,20 +52,20 @@ UNSTABLE = "no stability flag: it gives the figure of an unstable loop as it doe
 class Judgement(Enum):
     """Outcome of a comparison; the value is a sentence."""
 
-    AGREES = "the two figures agree"
+    AGREES = "the two metrics agree"
     EXPLAINED = "they differ, and a rule that was checked says why"
     WATCH = "they differ, and no rule explains it"
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One figure, ours and that of python-control. NaN: not defined."""
+    """One metric, ours and that of python-control. NaN: not defined."""
 
     name: str  #: with its unit
     function: str  #: of python-control
-    ours: float
-    theirs: float
-    judgement: Judgement
+    ours: float  #: in that unit
+    theirs: float  #: in that unit
+    judgement: Judgement  #: whether they agree
     why: str  #: the rule; "" where they agree
 
     def __str__(self) -> str:
@@ -75,18 +75,18 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class SecondOpinion:
-    """The figures of one loop at one time by this library and by python-control."""
+    """The metrics of one loop at one time by this library and by python-control."""
 
     time: float  #: [s]
     at: str  #: the analysis point
-    channel: str
+    channel: str  #: of it
     model: str  #: name of the loop's model as python-control has it
     version: str  #: of python-control
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[Comparison, ...]  #: one for each metric
 
     @property
     def watch(self) -> tuple[Comparison, ...]:
-        """Those that no rule explains; empty where the two opinions are one."""
+        """Those that no rule explains; empty where the two agree."""
         return tuple(one for one in self.comparisons if one.judgement is Judgement.WATCH)
 
     def __getitem__(self, name: str) -> Comparison:

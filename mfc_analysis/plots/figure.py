@@ -75,7 +75,11 @@ def colour(index: int) -> str:
 
 
 def panels_for(kind: str) -> tuple[Axes, ...]:
-    """The axes of a new sheet of this kind, top first. Raises ``UnknownName`` for an unknown kind."""
+    """The axes of a new sheet of this ``kind``, top first.
+
+    A kind is "time history", "two histories", "three histories", "four histories", "bode", "nyquist", "pole map", "step", "response", "map",
+    "arm", "disc", "costs" or "block". Raises ``UnknownName`` for another.
+    """
     from matplotlib.figure import Figure
 
     if kind not in SHEETS:
@@ -102,7 +106,7 @@ def _laid_out(figure: Figure, kind: str) -> tuple[Axes, ...]:
 
 
 def axes_for(kind: str) -> Axes:
-    """The only (or uppermost) axes of a new sheet of this kind."""
+    """The only (or uppermost) axes of a new sheet of this ``kind``, as in ``panels_for``."""
     return panels_for(kind)[0]
 
 

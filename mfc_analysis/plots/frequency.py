@@ -161,7 +161,7 @@ def nyquist(
 ) -> Axes:
     """L in the complex plane for positive (solid) and negative (dashed) frequencies, the unit circle, and the disk of radius 1/Ms about -1.
 
-    L stays outside that disk. sensitivity_peak: Ms. ax: to draw in; None: a new sheet. Other arguments as ``bode``.
+    L stays outside that disk. ``sensitivity_peak``: Ms. ``ax``: to draw in; None: a new sheet. Other arguments as ``bode``.
     """
     w, values = np.asarray(frequencies, float), np.asarray(L, complex)
     ax = ax if ax is not None else sheet.axes_for("nyquist")

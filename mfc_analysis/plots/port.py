@@ -56,12 +56,12 @@ def passivity(
     """Smallest eigenvalue of the real part of the impedance over frequency: below 0 the port gives energy.
 
     Args:
-        frequencies: (k,) [rad/s] > 0; damping: (k,) [Ns/m, Nms/rad], drawn over asinh. crossings: [rad/s] of its zeros. said: the finding.
+        frequencies: (k,) [rad/s] > 0; damping: (k,) [Ns/m, Nm s/rad], drawn over asinh. crossings: [rad/s] of its zeros. said: the finding.
         title: of the figure. ax: to draw in; None: a new sheet.
     """
     w, b = np.asarray(frequencies, float), np.asarray(damping, float)
     ax = ax if ax is not None else sheet.axes_for("map")
-    sheet.label(ax, "ω [rad/s]", "damping [Ns/m, Nms/rad]", title)
+    sheet.label(ax, "ω [rad/s]", "damping [Ns/m, Nm s/rad]", title)
     if not w.size:
         sheet.empty(ax, said or "nothing to draw")
         return ax

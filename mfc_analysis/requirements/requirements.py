@@ -26,6 +26,7 @@ from mfc_analysis.analysis.system import HORIZON, checked_horizon
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.requirements.evidence import Evidence, Found
 from mfc_analysis.requirements.line import Line, Status, worst
 from mfc_analysis.requirements.slow import slow_words
@@ -72,7 +73,7 @@ class Verdict:
     lines: tuple[Line, ...]  #: one for each requirement, failures first
     loop: str  #: the loop in words
     at: str  #: analysis point of the margins and loop steps
-    times: np.ndarray[Any, np.dtype[np.float64]]  #: (m,) [s]
+    times: Array  #: (m,) [s]
     notes: tuple[str, ...]  #: remarks, a sentence each
     drifts: bool  #: a slow part of the loop keeps moving within the horizon
     evidence: Evidence  #: the numbers behind the lines

@@ -35,7 +35,7 @@ def single_joint(inertia: float = 0.5, mass: float = 1.0, com_distance: float = 
 
     Args:
         inertia: I [kg m^2] > 0 about the axis of rotation (M is this number). mass: m [kg] >= 0. com_distance: r [m] from the axis, >= 0.
-        damping: b [N m s/rad], viscous joint friction. gravity: [m/s^2] along -y; 0 for a horizontal plane.
+        damping: b [Nm s/rad], viscous joint friction. gravity: [m/s^2] along -y; 0 for a horizontal plane.
 
     Warns where inertia < mass com_distance^2, which is not physical (the equation still holds).
     """
@@ -118,7 +118,7 @@ class _Cylinder:
     xyz: tuple[float, float, float]
     pitch: float
     axis: str
-    effort: float  # [N m]
+    effort: float  # [Nm]
     velocity: float  # [rad/s]
     range: float  # [rad] either way
     mass: float  # [kg]
@@ -161,10 +161,10 @@ def ur5_urdf() -> str:
 def ur5() -> Robot:
     """Universal Robots' UR5, tool ``tool0``: published kinematics, masses and inertias.
 
-    Kinematics (a = -0.425, -0.39225; d = 0.089159, 0.10915, 0.09465, 0.0823 m; ``d4`` is 0.13585 - 0.1197 + 0.093 m) and inertias (a
-    cylinder for each link) are those of ROS-Industrial's ur_description, so M and h equal those of ``load("ur5")``. Its wrist cylinders
-    have a radius of 0.6 m, where the arm has about 0.06 m, so that the wrist inertias, 0.11 to 0.22 kg m^2, are too large. They are kept so
-    that results agree with other tools.
+    Kinematics and inertias (a cylinder for each link) are those of ROS-Industrial's ur_description, so M and h equal those of ``load("ur5")``: a =
+    -0.425, -0.39225 m; d = 0.089159, 0.10915, 0.09465, 0.0823 m; ``d4`` is 0.13585 - 0.1197 + 0.093 m. Its wrist cylinders
+    have a radius of 0.6 m, where the arm has about 0.06 m. The wrist inertias, 0.11 to 0.22 kg m^2, are therefore too large; they are kept so that
+    results agree with other tools.
 
     Source: ROS-Industrial universal_robot, ur_description (ur5.urdf); Universal Robots, DH parameters for calculations of kinematics and dynamics.
     """

@@ -21,7 +21,7 @@ class Limits:
     lower: Array  #: (n,) [rad or m]
     upper: Array  #: (n,) [rad or m]
     velocity: Array  #: (n,) [rad/s or m/s]
-    torque: Array  #: (n,) [N m or N]
+    torque: Array  #: (n,) [Nm or N]
 
     @property
     def position(self) -> Array:

@@ -29,8 +29,8 @@ class Primitives:
     """Dynamics and kinematics of one robot. Not thread-safe: every call overwrites its Pinocchio Data.
 
     ``like``: another robot, whose kinematics at a configuration are taken where they are the same (the plant with its payload).
-    In its methods ``q``, ``v``, ``a`` (..., n) are position, velocity and acceleration of the joints, plain or dual arrays, and ``mass`` is a
-    constant (n, n) matrix in place of M(q).
+    In its methods ``q``, ``v``, ``a`` (..., n) are position, velocity and acceleration of the joints, plain or dual arrays; ``mass`` is a constant
+    (n, n) matrix in place of M(q).
     """
 
     def __init__(self, robot: Robot, like: Primitives | None = None) -> None:

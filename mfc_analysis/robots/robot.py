@@ -56,8 +56,8 @@ class Robot:
     tool: str  #: name of the tool frame
     frame_id: int  #: of the tool, in ``model.frames``
     order: NDArray[np.intp]  #: (n,) Pinocchio's velocity index of each joint in the user's order
-    viscous: Array  #: (n,) [N m s/rad or N s/m]
-    coulomb: Array  #: (n,) [N m or N]
+    viscous: Array  #: (n,) [Nm s/rad or N s/m]
+    coulomb: Array  #: (n,) [Nm or N]
     coulomb_speed: float = COULOMB_SPEED  #: [rad/s or m/s]
     payloads: tuple[Payload, ...] = field(default=())  #: already included in ``model``
     origin: tuple[str, dict[str, Any]] | None = None  #: file and arguments of :meth:`from_urdf` (:meth:`from_mjcf`), if made from a file; for replays
@@ -78,7 +78,7 @@ class Robot:
 
         Args:
             source: the path, or the text. tool: a link or frame name (where a link and a joint share it, the link); None: the last link, if unique.
-            locked: joints to lock: names (at 0) or ``{name: value}`` [rad or m].
+            locked: joints to lock: names (locked at 0) or ``{name: value}`` [rad or m].
             joints: the order of ``q``; None: the order of the model.
             friction: "urdf": joint damping is the viscous friction of the plant; "none": no friction. Coulomb ``friction`` is not read.
             gravity: (3,) [m/s^2] in base axes.
@@ -114,7 +114,7 @@ class Robot:
         ctrlrange) of the joint's actuators times their gear. ``gravity=None``: that of the file.
 
         Warns (``MfcWarning``) of springs, tendons, equality constraints and gravity compensation, which are not read. Raises ``BadRobot`` (not
-        XML, no mass, several robots, joints with several degrees of freedom, what Pinocchio reads otherwise than MuJoCo), ``UnknownName``,
+        XML, no mass, several robots, joints with several degrees of freedom, what Pinocchio reads differently from MuJoCo), ``UnknownName``,
         ``BadArgument``.
         """
         checks.choice("friction", friction, ("mjcf", "none"))
@@ -262,8 +262,8 @@ class Robot:
         """The robot with this joint friction in place of its own.
 
         Args:
-            viscous: scalar or (n,) [N m s/rad or N s/m] >= 0; None keeps the present one.
-            coulomb: scalar or (n,) [N m or N] >= 0, smoothed as ``coulomb * tanh(v / coulomb_speed)``.
+            viscous: scalar or (n,) [Nm s/rad or N s/m] >= 0; None keeps the present one.
+            coulomb: scalar or (n,) [Nm or N] >= 0, smoothed as ``coulomb * tanh(v / coulomb_speed)``.
             coulomb_speed: [rad/s or m/s] > 0.
         """
         new = self.viscous if viscous is None else checks.per_joint("viscous", viscous, self.n, low=0.0)
@@ -273,7 +273,7 @@ class Robot:
     def with_armature(self, armature: ArrayLike) -> Robot:
         """The robot with this ``armature``, the rotor inertia at each joint (gear ratio squared times inertia): scalar or (n,) [kg m^2 or kg] >= 0.
 
-        They replace the present ones.
+        It replaces the present one.
         """
         values = checks.per_joint("armature", armature, self.n, low=0.0)
         model = pin.Model(self.model)
@@ -311,31 +311,31 @@ class Robot:
     # --- dynamics --------------------------------------------------------------------------------------------------------
 
     def mass(self, q: ArrayLike) -> Array:
-        """(..., n, n) mass matrix M(q) of equation 9.7 [kg m^2, kg m or kg], armature included."""
+        """(..., n, n) mass matrix M of equation 9.7 at q (..., n) [rad or m]: [kg m^2, kg m or kg], armature included."""
         x = self.configuration(q)
         data, pick = self._data(), np.ix_(self.order, self.order)
         return self._each(x, lambda i: build.upper_to_full(pin.crba(self.model, data, x[i]))[pick], (self.n, self.n))
 
     def gravity(self, q: ArrayLike) -> Array:
-        """(..., n) gravity torque g(q) [N m or N]."""
+        """(..., n) gravity torque g [Nm or N] at q (..., n) [rad or m]."""
         x = self.configuration(q)
         data = self._data()
         return self._each(x, lambda i: pin.computeGeneralizedGravity(self.model, data, x[i])[self.order], (self.n,))
 
     def bias(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """(..., n) h(q, v) = C(q, v) v + g(q) [N m or N], without friction."""
+        """(..., n) h(q, v) = C(q, v) v + g(q) [Nm or N] at q [rad or m] and v [rad/s or m/s], (..., n) each; without friction."""
         q, v = self._moving(q, v)
         x, v = self.configuration(q), self.to_model(v)
         data = self._data()
         return self._each(x, lambda i: pin.nonLinearEffects(self.model, data, x[i], v[i])[self.order], (self.n,))
 
     def friction(self, v: ArrayLike) -> Array:
-        """(..., n) joint friction torque of the plant, opposing v: viscous v + coulomb tanh(v / coulomb_speed) [N m or N]."""
+        """(..., n) joint friction torque of the plant, opposing v: viscous v + coulomb tanh(v / coulomb_speed) [Nm or N]."""
         v = self._joints("v", v)
         return self.viscous * v + self.coulomb * np.tanh(v / self.coulomb_speed)
 
     def pose(self, q: ArrayLike) -> Array:
-        """(..., 4, 4) pose X of the tool in the base."""
+        """(..., 4, 4) pose X of the tool in the base, at q (..., n) [rad or m]."""
         x = self.configuration(q)
         data = self._data()
 
@@ -346,7 +346,7 @@ class Robot:
         return self._each(x, one, (4, 4))
 
     def jacobian(self, q: ArrayLike) -> Array:
-        """(..., 6, n) body Jacobian: V_b = J v, (linear, angular) in the tool frame."""
+        """(..., 6, n) body Jacobian at q (..., n) [rad or m]: V_b = J v, (linear, angular) in the tool frame."""
         x = self.configuration(q)
         data = self._data()
 
@@ -372,14 +372,18 @@ class Robot:
     def task_inertia(self, q: ArrayLike) -> Array:
         """(..., 6, 6) Lambda = (J M^-1 J^T)^-1 of equation 9.15, J^-T M J^-1 where J is square.
 
-        Warns (``MfcWarning``) above a condition number of J of 1e4; raises ``NearSingular`` above 1e6 and for fewer than six joints.
+        ``q`` (..., n) [rad or m]. Warns (``MfcWarning``) above a condition number of J of 1e4; raises ``NearSingular`` above 1e6 and for fewer
+        than six joints.
         """
         J = self.jacobian(q)
         check_regular(self.tool, J)
         return _task_inertia(self.mass(q), J)
 
     def task_bias(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """(..., 6) eta = Lambda (J M^-1 h - J' v) of equation 9.15: J^T (Lambda V' + eta) is 9.7. Warns and raises as ``task_inertia``."""
+        """(..., 6) eta = Lambda (J M^-1 h - J' v) of equation 9.15: J^T (Lambda V' + eta) is 9.7.
+
+        ``q``, ``v`` (..., n) [rad or m, and per s]. Warnings and errors as of ``task_inertia``.
+        """
         q, v = self._moving(q, v)
         J, M = self.jacobian(q), self.mass(q)
         check_regular(self.tool, J)
@@ -388,7 +392,7 @@ class Robot:
         return x[..., 0]
 
     def joint_torques(self, q: ArrayLike, wrench: ArrayLike, frame: str = "tool") -> Array:
-        """(..., n) tau = J^T F [N m or N] of a wrench (..., 6), (force [N], moment [N m]) at the tool origin.
+        """(..., n) tau = J^T F [Nm or N] of a ``wrench`` F (..., 6), (force [N], moment [Nm]) at the tool origin, at ``q`` (..., n) [rad or m].
 
         ``frame``: "tool": components in tool axes; "world": in base axes, still at the tool origin.
         """

@@ -49,19 +49,19 @@ class Simulation:
     t: Array  #: (k,) [s]
     x: Array  #: (k, nx) states in the order of ``state_names``
     q: Array  #: (k, n) [rad, m]
-    v: Array  #: (k, n)
+    v: Array  #: (k, n) [rad/s, m/s]
     tau: Array  #: (k, n) torque at the joints, after dead time, limit and lag [Nm] (velocity laws: velocity [rad/s])
-    command: Array  #: (k, n) command of the law
-    error: Array  #: (k, n) e = q_d - q, or (k, 6) X_e for tool laws, its selected directions of a law with axes
+    command: Array  #: (k, n) command of the law [Nm] (velocity laws: velocity [rad/s])
+    error: Array  #: (k, n) e = q_d - q [rad, m], or X_e of tool laws, (k, 6) or its selected directions
     twist: Array  #: (k, 6) body twist of the tool [m/s, rad/s]
     force: Array  #: (k, 6) F_tip, tool frame [N, Nm]
     events: tuple[Event, ...]  #: contact made and lost
     outcome: Outcome  #: how it ended
     message: str  #: what happened and when, a sentence
-    state_names: tuple[str, ...]  #: (nx,)
+    state_names: tuple[str, ...]  #: (nx,) names of the states
     path: DenseOutput = field(repr=False)  #: the states between the samples
     evaluations: int = 0  #: of the equations: the work of the run, as ``max_evaluations`` counts it
-    output_names: tuple[str, ...] = ()  #: of ``response``, as those of the linearised loop
+    output_names: tuple[str, ...] = ()  #: names of the outputs of ``response``, as those of the linearised loop
     arrived: Callable[[float], Array] | None = field(default=None, repr=False)  #: with dead time or sampling: t -> (n,) command at the joints
 
     @property

@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -49,8 +49,8 @@ class JointPath(JointReference):
 
     times: Array  #: (m,) [s]
     q: Array  #: (m, n) [rad or m]
-    v: Array  #: (m, n)
-    a: Array  #: (m, n)
+    v: Array  #: (m, n) [rad/s or m/s]
+    a: Array  #: (m, n) [rad/s^2 or m/s^2]
     cycle: float | None = None  #: [s] period, where the path is closed
     _path: Piecewise = field(init=False, repr=False)
 
@@ -72,7 +72,7 @@ class JointPath(JointReference):
 
     @property
     def period(self) -> float | None:
-        """[s], None where the path is not closed."""
+        """Period [s]; None where the path is not closed."""
         return self.cycle
 
     @property
@@ -90,14 +90,6 @@ class JointPath(JointReference):
             inside = (t >= self.times[0]) & (t <= self.times[-1])
             t = np.where(inside, t, self.times[0] + np.mod(t - self.times[0], self.cycle))
         return JointPoint(*self._path.at(t))
-
-
-class _Node(NamedTuple):
-    """Joint motion at a time, (n,) each, or at many, (m, n)."""
-
-    q: Array
-    v: Array
-    a: Array
 
 
 def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike, axes: Any = None) -> JointPath:
@@ -126,7 +118,7 @@ def from_tool_path(robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, ti
 
 def follow(
     robot: Robot, tool_ref: ToolReference, q_start: ArrayLike, times: ArrayLike, damping: float = 0.0, selection: Selection | None = None
-) -> _Node:
+) -> JointPoint:
     """Joint motion (q, v, a), (m, n) each, read-only, that moves the tool along ``tool_ref``, exact at these ``times``.
 
     That of the same path, arm (whatever its loads), start and times is computed once.
@@ -157,7 +149,7 @@ def follow(
     return found
 
 
-_FOLLOWED: WeakKeyDictionary[ToolReference, dict[bytes, tuple[_Node, tuple[float, float, float]]]] = WeakKeyDictionary()
+_FOLLOWED: WeakKeyDictionary[ToolReference, dict[bytes, tuple[JointPoint, tuple[float, float, float]]]] = WeakKeyDictionary()
 
 
 def _is_fixed(ref: ToolReference) -> bool:
@@ -201,18 +193,18 @@ class _Follower:
     damping: float = 0.0
     worst: tuple[float, float, float] = (0.0, 0.0, 0.0)  # condition number, smallest singular value, time
 
-    def along(self, q_start: Array, t: Array) -> _Node:
+    def along(self, q_start: Array, t: Array) -> JointPoint:
         """Exact at times t (m,), followed from ``q_start`` at 0 or at t[0] if that is earlier."""
         first = np.array([min(0.0, float(t[0]))])
         if self.ref.is_hold:
             q = np.repeat(self.project(q_start[None], first), t.size, axis=0)
-            return _Node(q, np.zeros_like(q), np.zeros_like(q))
+            return JointPoint(q, np.zeros_like(q), np.zeros_like(q))
         end = float(t[-1])
         known, nodes = self.walk(q_start, np.append(first, end) if end > first[0] else first, COARSE)
         guess = nodes.q if known.size == 1 else Piecewise.hermite(known, *nodes).at(t)[0]
         return self.node(self.project(guess, t), t)
 
-    def walk(self, q_start: Array, times: Array, slices: int) -> tuple[Array, _Node]:
+    def walk(self, q_start: Array, times: Array, slices: int) -> tuple[Array, JointPoint]:
         """Nodes at ``times`` and between them, each from the previous one."""
         if self.ref.duration is not None:  # it is at rest before 0 and after its end
             ends = np.array([0.0, self.ref.duration])
@@ -230,7 +222,7 @@ class _Follower:
                     raise NotConverged(f"the joints jump by {jump:.3g} rad at t = {now[0]:.4g} s: the tool path passes a singularity")
                 nodes.append(self.node(q, now))
                 kept.append(now)
-        return np.concatenate(kept), _Node(*(np.concatenate(x) for x in zip(*nodes, strict=True)))
+        return np.concatenate(kept), JointPoint(*(np.concatenate(x) for x in zip(*nodes, strict=True)))
 
     def project(self, q: Array, t: Array) -> Array:
         """The joint positions (m, n) with the tool on the path, from nearby guesses."""
@@ -253,7 +245,7 @@ class _Follower:
                 raise NotConverged(_out_of_reach(self.tip.robot, left, f"at t = {t[k]:.4g} s"))
         return out
 
-    def node(self, q: Array, t: Array) -> _Node:
+    def node(self, q: Array, t: Array) -> JointPoint:
         """Velocity and acceleration at joint positions (m, n) on the path."""
         point = self.ref(t)
         tip = self.tip
@@ -267,7 +259,7 @@ class _Follower:
             a = a + null - pinv @ (J @ null)
         if tip.robot.n < tip.size and self.damping == 0:
             self._check_followed((J @ v)[..., 0] - point.V, (J @ a + J_rate @ v)[..., 0] - point.dV, point, t)
-        return _Node(q, v[..., 0], a[..., 0])
+        return JointPoint(q, v[..., 0], a[..., 0])
 
     def report(self) -> None:
         """Warns where the Jacobian is close to singular."""
@@ -276,7 +268,7 @@ class _Follower:
             text = f"the Jacobian of frame {self.tip.robot.tool!r} is close to singular at t = {t:.4g} s"
             warnings.warn(f"{text}: smallest singular value {smallest:.3g}, condition number {condition:.3g}", MfcWarning, stacklevel=3)
 
-    def _substeps(self, node: _Node, t0: float, t1: float, slices: int) -> int:
+    def _substeps(self, node: JointPoint, t0: float, t1: float, slices: int) -> int:
         """Number of nodes of an interval, for joint steps below ``STEP`` and for the time scale of the path."""
         if self.ref.is_hold or (self.ref.duration is not None and (t1 <= 0 or t0 >= self.ref.duration)):
             return 1
@@ -291,7 +283,7 @@ class _Follower:
             )
         return max(1, int(np.ceil(speed)), int(np.ceil(pieces - 1e-9)))
 
-    def _advance(self, node: _Node, t0: Array, t1: Array) -> Array:
+    def _advance(self, node: JointPoint, t0: Array, t1: Array) -> Array:
         """The next joint position: by Taylor, or along q' = J^# V (Runge-Kutta) on a redundant arm with self-motion."""
         h = t1 - t0
         if self.tip.robot.n <= self.tip.size or self.damping > 0:
@@ -373,7 +365,7 @@ def _fewer(robot: Robot) -> str:
     return '; axes= ("xyz", ...) leaves directions out' if robot.n < 6 else ""
 
 
-def _closed(ref: ToolReference, t: Array, nodes: _Node) -> float | None:
+def _closed(ref: ToolReference, t: Array, nodes: JointPoint) -> float | None:
     """The period of the path, where these times span a whole number of periods and the joints return to their start."""
     if ref.period is None:
         return None

@@ -54,7 +54,7 @@ class JointReference(ABC):
 
     @property
     def period(self) -> float | None:
-        """[s], None where it is not periodic."""
+        """Period [s]; None where it is not periodic."""
         return None
 
     @property
@@ -93,7 +93,7 @@ class Hold(JointReference):
 
     @property
     def is_hold(self) -> bool:
-        """True."""
+        """True: it is at rest at all times."""
         return True
 
     def _at(self, t: Array) -> JointPoint:
@@ -128,7 +128,7 @@ class Quintic(JointReference):
 
     @property
     def is_hold(self) -> bool:
-        """Whether q0 is q1."""
+        """True where q0 equals q1."""
         return not self._step.any()
 
     def _at(self, t: Array) -> JointPoint:
@@ -194,8 +194,8 @@ class Waypoints(JointReference):
     The interpolation is the quintic spline (four times continuously differentiable) with zero velocity and acceleration at both ends;
     between two positions it is ``Quintic``. Positions (m,) are those of one joint.
 
-    Raises ``BadArgument``, also for times that are readings of a clock, such as seconds since 1970: the first is above 1e4 s and above 100 times
-    the length of the motion, which would be held at its first position all through the times of a simulation.
+    Raises ``BadArgument``, also for times that are readings of a clock, such as seconds since 1970: a first time above 1e4 s and above 100 times
+    the length of the motion. Through the times of a simulation such a motion would stay at its first position.
     """
 
     times: ArrayLike

@@ -87,7 +87,7 @@ class ToolReference(ABC):
 
     @property
     def period(self) -> float | None:
-        """[s], None where it is not periodic."""
+        """Period [s]; None where it is not periodic."""
         return None
 
     @property
@@ -119,7 +119,7 @@ class ToolHold(ToolReference):
 
     @property
     def is_hold(self) -> bool:
-        """True."""
+        """True: it is at rest at all times."""
         return True
 
     def _at(self, t: Array) -> ToolPoint:
@@ -159,7 +159,7 @@ class ToolLine(ToolReference):
 
     @property
     def is_hold(self) -> bool:
-        """Whether X0 is X1."""
+        """True where X0 equals X1."""
         return self._angle == 0 and not self._step.any()
 
     def _at(self, t: Array) -> ToolPoint:
@@ -202,7 +202,7 @@ class ToolSinusoid(ToolReference):
 
     @property
     def period(self) -> float | None:
-        """[s]; None where nothing moves."""
+        """Period [s]; None where nothing moves."""
         return None if self.is_hold else 2.0 * np.pi / self.frequency
 
     @property
@@ -247,7 +247,7 @@ class ToolCircle(ToolReference):
 
     @property
     def period(self) -> float:
-        """[s]."""
+        """Period [s]."""
         return 2.0 * np.pi / self.frequency
 
     def _at(self, t: Array) -> ToolPoint:

@@ -146,7 +146,7 @@ def test_a_result_says_and_draws_what_it_found() -> None:
     text = "passivity at the tool, passive at 0 of 2 times; worst at t = 0 s: not passive: some passive environment makes it unstable; "
     assert str(found).startswith(
         text
-    ) and "along 1.00 fz; passes zero at 2.236 rad/s; 1e+06 Ns/m (Nms/rad) more at the port make it so, needed at 0.01 rad/s" in str(found)
+    ) and "along 1.00 fz; passes zero at 2.236 rad/s; 1e+06 Ns/m (Nm s/rad) more at the port make it so, needed at 0.01 rad/s" in str(found)
     ElementTree.fromstring(f"<div>{found._repr_html_()}</div>")
     assert "2.2361" in found._repr_html_()
     assert str(pickle.loads(pickle.dumps(found))) == str(found)

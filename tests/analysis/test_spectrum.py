@@ -47,7 +47,7 @@ def test_poles_need_no_schur_form_where_some_are_slow(monkeypatch):
 
 
 def test_a_slow_part_without_digits_does_not_hide_an_unstable_root():
-    """Friction of 1e30 Nms/rad: sorting the slow roots apart from those of 1e31 1/s moves them by decades; others are at +1e14 1/s."""
+    """Friction of 1e30 Nm s/rad: sorting the slow roots apart from those of 1e31 1/s moves them by decades; others are at +1e14 1/s."""
     robot = mfc.robots.ur5().with_friction(viscous=1e30, coulomb=0.1)
     law, lag = mfc.laws.ComputedTorque(100.0, 10.0, 20.0), mfc.Hardware(torque_lag=2e-3)
     lin = mfc.ClosedLoop(robot, law, mfc.trajectories.Quintic([0.1, -1.0, 1.0, 0.3, 0.4, 0.5], [0.3] * 6, 1.0), hardware=lag).linearize([0.5])

@@ -123,7 +123,7 @@ def test_a_root_on_the_edge_of_the_slow_ones_is_located_whatever_rounding_says()
 
 
 def test_a_steady_state_without_digits_is_an_error_in_words():
-    """Friction of 1e30 Nms/rad: the fast part of A is singular to rounding."""
+    """Friction of 1e30 Nm s/rad: the fast part of A is singular to rounding."""
     q = [0.1, -1.0, 1.0, 0.3, 0.4, 0.5]
     loop = mfc.ClosedLoop(
         mfc.robots.ur5().with_friction(viscous=1e30, coulomb=0.1),

@@ -35,7 +35,7 @@ from mfc_analysis.trajectories import Hold
 Z = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])  #: the pressing direction, as gains with six components
 POSE = np.array([0.3, -1.25, 1.9, -2.2, -1.57, 0.2])  #: [rad] UR5 with its tool pointing down
 KFP, KFI, KDAMP, MASS = 1.0, 5.0, 60.0, 1.0  #: of the slider: [-], [1/s], [Ns/m], [kg]
-ARM_DAMPING = np.array([200.0, 200.0, 200.0, 4.0, 4.0, 4.0])  #: of the arm: [Ns/m, Nms/rad]
+ARM_DAMPING = np.array([200.0, 200.0, 200.0, 4.0, 4.0, 4.0])  #: of the arm: [Ns/m, Nm s/rad]
 GRIP = np.array([2000.0, 2000.0, 50.0, 50.0, 20.0])  #: [N/m, Nm/rad] stiffness of a sticking rubber tip in x, y, rx, ry, rz
 G = 9.81
 CHOSEN = (("F_d", "the force asked for"), ("kfp", "chosen: half of the force error is left without the integral"), ("", "chosen"))

@@ -208,6 +208,6 @@ def _said(data: Mapping[str, Any], units: Mapping[str, str] | None = None) -> st
             out.append(f"{name} at {array_words(np.asarray(value)[:3, 3])} m, turned by {array_words(log6(np.asarray(value))[3:])} rad")
         else:
             unit = (units or {}).get(name) or UNITS.get(name) or HARDWARE.get(name, ("", ""))[1]
-            turning = {"stiffness": ", Nm/rad", "damping": ", Nms/rad"}.get(name, "") if "r" in str(data.get("axes", "")) else ""
+            turning = {"stiffness": ", Nm/rad", "damping": ", Nm s/rad"}.get(name, "") if "r" in str(data.get("axes", "")) else ""
             out.append(f"{name.replace('_', ' ')} {_values(value)} {unit}{turning}".rstrip())
     return ", ".join(out)
