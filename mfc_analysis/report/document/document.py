@@ -427,3 +427,4 @@ class Document:
     appendices: tuple[Section, ...] = ()
     matrix: bool = True  #: show loops x checks when there is more than one loop
     front: tuple[Section, ...] = ()  #: after the scope: what was analysed, such as the gains of all loops
+    names: Mapping[str, str] = field(default_factory=dict)  #: name -> what the pages show in its place, such as a joint without its prefix

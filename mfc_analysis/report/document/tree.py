@@ -5,6 +5,7 @@ Every text is a list of spans ``{"k": kind, "t": text}``: kind "text", "mono", "
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -37,6 +38,7 @@ def tree(document: s.Document) -> Tree:
 class _Builder:
     def __init__(self, document: s.Document) -> None:
         self.document = document
+        self.long = re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, sorted(document.names, key=len, reverse=True)))})(?!\w)")
         self.out = Tree({})
         self.ids: dict[tuple[str, bool], str] = {}
         self.tables = self.pictures = 0
@@ -60,8 +62,8 @@ class _Builder:
             "verdict": {
                 "status": found.status.value,
                 "sign": SIGNS[found.status.value],
-                "sentence": found.sentence,
-                "detail": found.detail,
+                "sentence": self._clean(found.sentence),
+                "detail": self._clean(found.detail),
                 "to": target,
             },
             "sections": sections,
@@ -176,6 +178,10 @@ class _Builder:
 
     # --- text ----------------------------------------------------------------------------------------------------
 
+    def _clean(self, text: str) -> str:
+        """Text as the pages show it: without control characters, long names shortened."""
+        return self.long.sub(lambda found: self.document.names[found[0]], clean(text)) if self.document.names else clean(text)
+
     def _text(self, text: s.Text) -> list[dict[str, str]]:
         spans = text if isinstance(text, tuple) else (text,)
         return [self._span(x) for x in spans if x != ""]
@@ -186,10 +192,10 @@ class _Builder:
         if isinstance(x, s.Mono):
             return {"k": "mono", "t": clean(x.text)}
         if isinstance(x, s.Strong):
-            return {"k": "strong", "t": clean(x.text)}
+            return {"k": "strong", "t": self._clean(x.text)}
         if isinstance(x, s.Link):
-            return {"k": "link", "t": clean(x.text), "to": x.target if x.target in self.taken else ""}
-        return {"k": "text", "t": clean(str(x))}
+            return {"k": "link", "t": self._clean(x.text), "to": x.target if x.target in self.taken else ""}
+        return {"k": "text", "t": self._clean(str(x))}
 
     def _equation(self, source: str, display: bool) -> str:
         key = self.ids.setdefault((source, display), f"m{len(self.ids)}")
@@ -224,10 +230,10 @@ class _Builder:
         return {"text": clean(b.text, newlines=True)}
 
     def _make_callout(self, b: s.Callout) -> dict[str, Any]:
-        return {"status": b.status.value, "sign": SIGNS[b.status.value], "title": clean(b.title), "spans": self._text(b.text)}
+        return {"status": b.status.value, "sign": SIGNS[b.status.value], "title": self._clean(b.title), "spans": self._text(b.text)}
 
     def _make_equation(self, b: s.Equation) -> dict[str, Any]:
-        return {"id": self._equation(b.source, True), "alt": clean(b.alt), "number": b.number}
+        return {"id": self._equation(b.source, True), "alt": self._clean(b.alt), "number": b.number}
 
     def _make_table(self, b: s.Table) -> dict[str, Any]:
         self.tables += 1
@@ -247,18 +253,18 @@ class _Builder:
         self.pictures += 1
         key = f"f{self.pictures}"
         self.out.figures[key] = b
-        return {"id": key, "number": self.pictures, "caption": self._text(b.caption), "alt": clean(b.alt)}
+        return {"id": key, "number": self.pictures, "caption": self._text(b.caption), "alt": self._clean(b.alt)}
 
     def _make_row(self, b: s.Row) -> dict[str, Any]:
         return {"figures": [self._make_figure(f) | {"k": "figure"} for f in b.figures]}
 
     def _make_keyfacts(self, b: s.KeyFacts) -> dict[str, Any]:
-        return {"facts": [{"name": self._text(f.name), "value": clean(str(f.value)), "note": self._text(f.note)} for f in b.facts]}
+        return {"facts": [{"name": self._text(f.name), "value": self._clean(str(f.value)), "note": self._text(f.note)} for f in b.facts]}
 
     def _make_compare(self, b: s.Compare) -> dict[str, Any]:
         sides = [
             {
-                "title": clean(x.title),
+                "title": self._clean(x.title),
                 "status": x.badge or "",
                 "sign": SIGNS[x.badge] if x.badge else "",
                 "note": x.note,
@@ -272,7 +278,7 @@ class _Builder:
         self.tables += 1
         rows = [
             {
-                "name": clean(name),
+                "name": self._clean(name),
                 "to": to,
                 "cells": [
                     None if c is None else {"status": c.status.value, "sign": SIGNS[c.status.value], "text": c.text, "to": c.target} for c in cells
@@ -280,13 +286,13 @@ class _Builder:
             }
             for name, to, cells in b.rows
         ]
-        return {"number": self.tables, "caption": self._text(b.caption), "columns": [clean(c) for c in b.columns], "rows": rows}
+        return {"number": self.tables, "caption": self._text(b.caption), "columns": [self._clean(c) for c in b.columns], "rows": rows}
 
     def _make_scrubber(self, b: s.Scrubber) -> dict[str, Any]:
         self.pictures += 1
         key = f"f{self.pictures}"
         self.out.scrubbers[key] = b
-        return {"id": key, "number": self.pictures, "caption": self._text(b.caption), "alt": clean(b.alt)}
+        return {"id": key, "number": self.pictures, "caption": self._text(b.caption), "alt": self._clean(b.alt)}
 
 
 def every_block(sections: Iterable[dict[str, Any]]) -> Iterable[dict[str, Any]]:

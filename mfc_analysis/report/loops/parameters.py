@@ -11,6 +11,7 @@ import numpy as np
 
 from mfc_analysis import plots
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.plots.figure import without_prefix
 from mfc_analysis.report.document.document import Block, Callout, Column, Equation, Figure, Section, Table, written
 from mfc_analysis.report.loops.view import View
 from mfc_analysis.requirements.line import Status
@@ -176,7 +177,9 @@ def robot_words(view: View) -> str:
     """The plant as text."""
     robot = view.loop.robot
     payload = "".join(f", payload {written(float(p.mass), exact=True)} kg at {robot.tool}" for p in robot.payloads)
-    return f"{robot.name}, {robot.n} {'joint' if robot.n == 1 else 'joints'} ({', '.join(robot.joint_names)}), tool {robot.tool}{payload}"
+    prefix = robot.joint_names[0].removesuffix(without_prefix(robot.joint_names)[0])
+    said = f"; in full with {prefix} before each" if prefix else ""
+    return f"{robot.name}, {robot.n} {'joint' if robot.n == 1 else 'joints'} ({', '.join(robot.joint_names)}{said}), tool {robot.tool}{payload}"
 
 
 def model_words(view: View) -> str:

@@ -100,7 +100,16 @@ def loop_document(
         scope(views),
         provenance(command, inputs, kept | dict(settings or {}), date),
         symbols(tool=tool, force=force),
+        names=_short_names(views),
     )
+
+
+def _short_names(views: Sequence[View]) -> dict[str, str]:
+    """Names of joints -> the same without what all of an arm begin with, as the figures have them."""
+    from mfc_analysis.plots.figure import without_prefix
+
+    arms = (v.loop.robot.joint_names for v in views)
+    return {long: short for names in arms for long, short in zip(names, without_prefix(names), strict=True) if long != short}
 
 
 def _subtitle(views: Sequence[View]) -> str:

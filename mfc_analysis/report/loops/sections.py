@@ -202,7 +202,7 @@ def opinion_section(view: View) -> Section:
         for c in found.comparisons
     )
     heads = (
-        Column("Figure", numeric=False),
+        Column("Metric", numeric=False),
         Column("Here"),
         Column("python-control"),
         *(Column(x, numeric=False) for x in ("Its function", "Difference")),
@@ -210,7 +210,7 @@ def opinion_section(view: View) -> Section:
     where = place_words(w.name, w.time, len(view.times))
     table = Table(f"The same model at “{view.point}”, {where}, by python-control {found.version}.", heads, rows)
     agree, watch = sum(not c.why and c not in found.watch for c in found.comparisons), len(found.watch)
-    said = f"{agree} of {len(rows)} figures agree, {len(rows) - agree - watch} differ for a known reason"
+    said = f"{agree} of {len(rows)} metrics agree, {len(rows) - agree - watch} differ for a known reason"
     finding = f"{said}; {f'{watch} differ without one: WATCH' if watch else 'none differs without one'}."
     return Section("A second opinion by python-control", finding, (table,), numbers={"second_opinion_watch": [c.name for c in found.watch]})
 

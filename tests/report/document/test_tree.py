@@ -108,3 +108,23 @@ def test_keys_are_plain_words_and_texts_lose_what_no_page_can_hold() -> None:
     assert [slug(x) for x in ("9.8 Unabhängig: PID", "☃", "../../etc", "a" * 80)] == ["9-8-unabhangig-pid", "section", "etc", "a" * 60]
     assert clean("a\x00b\nc\x7f\ud800") == "a b c \N{REPLACEMENT CHARACTER}"
     assert clean("a\nb\tc", newlines=True) == "a\nb c"
+
+
+def test_long_names_are_short_on_the_pages_and_stay_in_code_and_in_longer_words() -> None:
+    line = Line("phase_deg", 45.0, 50.0, "°", 5.0, Status.PASS, "panda_joint1", 0.5, label="phase margin")
+    body = (
+        s.Paragraph(("at panda_joint1, ", s.Strong("panda_joint2"), s.Mono("panda_joint1"), " and q_panda_joint1")),
+        s.Code("panda_joint1"),
+        s.Table("of panda_joint2", (s.Column("Where"),), (("panda_joint1 and panda_joint10",),)),
+        s.KeyFacts((s.Fact("Where", "panda_joint2", "panda_joint1"),)),
+    )
+    short = {f"panda_joint{i}": f"joint{i}" for i in (1, 2)}
+    made = tree(s.Document("t", "u", (s.Section("one", "panda_joint1", body, (line,), loop="one"),), names=short))
+    page = next(x for x in made.root["sections"] if x["title"] == "one")
+    asked, words, code, table, facts = page["blocks"]
+    assert made.root["verdict"]["detail"].endswith("(joint1, t = 0.5 s).") and page["finding"][0]["t"] == "joint1"
+    assert asked["rows"][0][-1]["spans"][0]["t"] == "joint1, t = 0.5 s"
+    assert [x["t"] for x in words["spans"]] == ["at joint1, ", "joint2", "panda_joint1", " and q_panda_joint1"]
+    assert code["text"] == "panda_joint1"
+    assert table["caption"][0]["t"] == "of joint2" and table["rows"][0][0]["spans"][0]["t"] == "joint1 and panda_joint10"
+    assert facts["facts"][0]["value"] == "joint2" and facts["facts"][0]["note"][0]["t"] == "joint1"

@@ -18,6 +18,7 @@ from mfc_analysis.plots import figure as sheet
 from mfc_analysis.report.document.document import Figure, Row
 from mfc_analysis.report.loops.report import loop_document
 from mfc_analysis.report.render.write import rendered
+from mfc_analysis.robots.catalogue import ur5_urdf
 from tests.plots.test_figure import texts
 from tests.report.render.test_html import HOSTILE, Page
 
@@ -280,3 +281,17 @@ def test_provenance_has_the_input_and_the_command_and_no_date_of_its_own(tmp_pat
     assert items["command"] == "mfc-analysis report my.toml"
     assert items["items"]["SHA-256 of my.toml"].startswith("2d711642b726b044")
     assert "date" not in items["items"] and "numpy" in items["items"]
+
+
+def test_the_pages_name_joints_without_their_common_prefix_and_the_data_in_full():
+    renamed = ur5_urdf().replace('<joint name="', '<joint name="cell_4_').replace("cell_4_world", "world")
+    arm = mfc.Robot.from_urdf(renamed, tool="tool0")
+    loop = mfc.ClosedLoop(arm, mfc.laws.ComputedTorque(**pid()), T.Hold([0.3, -1.0, 1.4, -1.9, -1.5, 0.2]))
+    made = rendered(loop_document(loop, requirements=mfc.Requirements(phase_deg=45)), formats=("html", "json"))
+    told, data = Page(made["html"].decode()), json.loads(made["json"])
+    rows = [e["text"] for e in told.all("tr")]
+    asked, where = next(row for row in rows if row.startswith("phase margin")), data["sections"][0]["checks"][0]["where"]
+    assert where.startswith("cell_4_") and where.removeprefix("cell_4_") in asked and "cell_4_" not in asked
+    short = ", ".join(name.removeprefix("cell_4_") for name in arm.joint_names)
+    assert f"ur5, 6 joints ({short}; in full with cell_4_ before each), tool" in " ".join(rows)
+    assert data["sections"][0]["numbers"]["loop"]["robot"]["joints"] == list(arm.joint_names)
