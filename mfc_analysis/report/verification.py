@@ -135,7 +135,7 @@ def with_outcomes(records: Sequence[Record], outcomes: Mapping[str, str]) -> lis
 
 
 def relief(asserted: Asserted) -> tuple[Relief, ...]:
-    """What would make a failed assertion pass: the limits of payload, dead time, sample rate, wall and bandwidth at which it just does.
+    """What would make a failed assertion pass: the limits of payload, dead time, sample rate, wall and gains at which it just does.
 
     Each is varied alone, from its value in the loop towards easier ones; what the loop does not have is not varied. Empty for an assertion
     without requirements.
@@ -159,15 +159,17 @@ def relief(asserted: Asserted) -> tuple[Relief, ...]:
         tries.append(("sample rate", f"{1 / hardware.sample_time:.4g} 1/s", lambda: design.min_sample_rate(loop, **how)))
     if loop.equations.surfaces:
         tries.append(("stiffness of the wall", "as given", lambda: design.max_stiffness(loop, **how)))
-    powers = _POWERS.get(loop.law.plant, {}) if loop.law.desired_wrench is None else {}
+    force = loop.law.desired_wrench is not None
+    powers = _FORCE if force else _POWERS.get(loop.law.plant, {})
     gains = {name: gain.array for name, gain in loop.law.gains().items() if gain and name in powers}
-    if gains and set(gains) == {name for name, gain in loop.law.gains().items() if gain} and set(gains) <= set(loop.law.parameters()):
+    if gains and (force or set(gains) == {name for name, gain in loop.law.gains().items() if gain}) and set(gains) <= set(loop.law.parameters()):
 
         def scaled(x: float) -> ClosedLoop:
             return replace(loop, law=loop.law.changed(**{name: array * x ** powers[name] for name, array in gains.items()}))
 
         judge = Judge(requirements, verdict.times, verdict.at)
-        tries.append(("bandwidth of the gains", "1 (as given)", lambda: requirement_limit(scaled, "bandwidth", 1.0, judge, lower=0.02, upper=50.0)))
+        varied = "gains of the force error" if force else "bandwidth of the gains"
+        tries.append((varied, "1 (as given)", lambda: requirement_limit(scaled, "bandwidth", 1.0, judge, lower=0.02, upper=50.0)))
     out = []
     for name, given, search in tries:
         try:
@@ -176,7 +178,7 @@ def relief(asserted: Asserted) -> tuple[Relief, ...]:
             out.append(Relief(name, given, "not found", str(why)))
             continue
         value = held + float(found) if name == "payload" else float(found)
-        unit = "times" if name.startswith("bandwidth") else found.unit
+        unit = "times" if given.startswith("1 (") else found.unit
         limit = f"{value:.4g} {unit}" if found.outcome.name == "FOUND" else "no value" if found.outcome.name == "NOWHERE" else "no limit"
         out.append(Relief(name, given, limit, found.binds))
     return tuple(out)
@@ -184,6 +186,7 @@ def relief(asserted: Asserted) -> tuple[Relief, ...]:
 
 #: power of the natural frequency in each gain, by what the law commands
 _POWERS: dict[str, dict[str, float]] = {"torque": {"kp": 2.0, "ki": 3.0, "kd": 1.0}, "velocity": {"kp": 1.0, "ki": 2.0}}
+_FORCE = {"kfp": 1.0, "kfi": 1.0}  #: of a force law: the loop gain at the sensor is linear in both
 
 
 def verification_document(records: Sequence[Record], lost: Sequence[str] = (), command: str = "", origin: Origin | None = None) -> Document:

@@ -82,6 +82,20 @@ def test_what_would_make_it_pass_is_the_limit_of_the_closed_form():
     assert not any(isinstance(b, Table) and "make it pass" in str(b.caption) for b in expected.body)
 
 
+def test_what_would_make_a_force_loop_pass_is_the_factor_on_its_force_gains_of_the_closed_form():
+    """9.22: m s^3 + b s^2 + k (1 + kfp) s + k kfi is stable for m kfi < b (1 + kfp), on any wall, so that a softer one does not help."""
+    m, b, kfp, kfi = 2.0, 6.0, 0.5, 10.0
+    only_z = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    wall = mfc.Environment(1e4, axes="z", preload=5.0)
+    law = mfc.laws.ForcePI(5.0 * only_z, kfp=kfp * only_z, kfi=kfi * only_z)
+    seen = []
+    with observed(seen.append), pytest.raises(AssertionError):
+        assert_stable(mfc.ClosedLoop(mfc.robots.slider(mass=m, friction=b), law, hold(), environment=wall))
+    stiffness, gains = relief(seen[0])
+    assert (stiffness.name, stiffness.limit, gains.name) == ("stiffness of the wall", "no value", "gains of the force error")
+    assert gains.limit == f"{b / (m * kfi - b * kfp):.4g} times" and gains.given == "1 (as given)"
+
+
 def test_what_nothing_eases_is_told_and_a_met_assertion_needs_nothing():
     seen = []
     with observed(seen.append):
