@@ -7,9 +7,12 @@ import shutil
 import subprocess
 import zlib
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
+from mfc_analysis import plots
+from mfc_analysis.report.document import document as s
 from mfc_analysis.report.render.pdf import STANDARDS
 from mfc_analysis.report.render.write import rendered
 from tests.report import samples
@@ -65,3 +68,15 @@ def test_sections_four_deep_still_compile_under_the_standards():
     for level in range(3):
         inner = replace(document.sections[0], title=f"level {level}", sections=(inner,), body=(), checks=())
     assert rendered(replace(document, sections=(inner,)), ("pdf",))["pdf"].startswith(b"%PDF-")
+
+
+def test_a_figure_stands_under_the_text_before_it_and_not_at_the_foot_of_the_page():
+    figure = s.Figure(partial(plots.curves, [0.0, 1.0], [("one", [0.0, 1.0])], xlabel="t [s]", ylabel="y"), "captionword", "a line from 0 to 1")
+    table = s.Table("rows", (s.Column("head"),), tuple((f"row {k}",) for k in range(12)))  # does not break: the rest of the first page stays free
+    sections = (s.Section("First"), s.Section("One", "findingword", (figure,)), *(s.Section(f"Table {k}", body=(table,)) for k in range(3)))
+    pdf = rendered(s.Document("t", "u", sections), ("pdf",))["pdf"]
+    words(pdf)
+    boxes = subprocess.run(["pdftotext", "-bbox", "-", "-"], input=pdf, capture_output=True, check=True).stdout.decode()
+    page = next(page for page in boxes.split("<page ")[1:] if "findingword" in page)
+    finding, caption = (float(re.search(rf'yMin="([\d.]+)"[^>]*>{word}<', page)[1]) for word in ("findingword", "captionword"))
+    assert 0 < caption - finding < 240  # [pt]; the figure takes 200
