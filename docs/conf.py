@@ -125,6 +125,11 @@ MENDED = {
 SENTENCES = r'(<div class="highlight-text notranslate)(?="><div class="highlight"><pre[^>]*>(?:(?!</pre>|\S {3,}\S)(?s:.))*</pre>)'
 
 
+def _breaking(found: re.Match[str]) -> str:
+    tag, name = found[0].rsplit(">", 1)
+    return tag + ">" + re.sub(r"([._])|(?<=[a-z])(?=[A-Z])", r"\1<wbr>", name)
+
+
 def mend(app: Any, failure: Exception | None) -> None:
     """Mends the pages, and makes a list of a signature of several lines, which is no list of definitions."""
     for path in Path(app.outdir).rglob("*.html"):
@@ -132,8 +137,9 @@ def mend(app: Any, failure: Exception | None) -> None:
         for was, now in MENDED.items():
             text = text.replace(was, now)
         text = re.sub(SENTENCES, r"\1 sentences", text)
-        if path.parent.name == "reference":  # the names of the tables may break at a dot, on a phone
-            text = re.sub(r'<span class="pre">mfc\.[\w.]+(?=</span></code></span></a></p></td>)', lambda name: name[0].replace(".", ".<wbr>"), text)
+        if path.parent.name == "reference":  # on a phone long names break between their words: in headings, tables and signatures
+            text = re.sub(r'(?:<h1>|(?<=<td><p>)<a [^>]*><span [^>]*><code [^>]*><span class="pre">)mfc\.[\w.]+', _breaking, text)
+            text = text.replace('<span class="sig-paren">(</span>', '<span class="sig-paren">(</span><wbr>')
         text = re.sub(r"<p>alias of .*?</p>", "", text, flags=re.DOTALL)  # a type, which the text above says in words
         text = re.sub(r'<dl>\n((?:<dd><em class="sig-param">.*</dd>\n)+)</dl>', r'<ul class="sig-parameters">\n\1</ul>', text)
         path.write_text(re.sub(r'<dd>(<em class="sig-param">.*)</dd>', r"<li>\1</li>", text), encoding="utf-8")

@@ -51,7 +51,7 @@ class Impedance(ToolLaw):
 
     Args:
         stiffness: K [N/m, Nm/rad], damping: D [Ns/m, Nm s/rad], inertia: M_d [kg, kg m^2]; scalar, (6,) or (6, 6) on (linear, angular) in the tool
-            frame; (k,) or (k, k) on k selected directions. inertia None: that of the arm, Lambda(q), and no force sensor.
+            frame; (k,) or (k, k) on k selected directions. None: that of the arm, Lambda(q), and no force sensor.
         F_d: (6,) [N, Nm] a wrench that the tool presses with on top of the spring, tool frame; None: none.
         feedforward: False: without the terms of Lambda^, which need a J of full rank. The arm then does not follow a moving reference exactly.
         null_damping: c >= 0 [1/s] on joint motion that does not move the tool (redundant arms), as in 9.16.
@@ -138,7 +138,7 @@ class JointImpedance(JointLaw):
     .. math:: \tau = \hat M(q)\,(a_d + M_d^{-1}(K e + D \dot e - J^T F)) + J^T F + \hat h
 
     Args:
-        stiffness: K [Nm/rad], damping: D [Nm s/rad], inertia: M_d [kg m^2]; scalar, (n,) or (n, n). inertia None: that of the arm, M(q), and no
+        stiffness: K [Nm/rad], damping: D [Nm s/rad], inertia: M_d [kg m^2]; scalar, (n,) or (n, n). None: that of the arm, M(q), and no
             force sensor.
 
     The wire "command" carries the torque K e + D e', or with ``inertia`` the acceleration a_d + M_d^-1 (...).
