@@ -140,6 +140,7 @@ def mend(app: Any, failure: Exception | None) -> None:
         if path.parent.name == "reference":  # on a phone long names break between their words: in headings, tables and signatures
             text = re.sub(r'(?:<h1>|(?<=<td><p>)<a [^>]*><span [^>]*><code [^>]*><span class="pre">)mfc\.[\w.]+', _breaking, text)
             text = text.replace('<span class="sig-paren">(</span>', '<span class="sig-paren">(</span><wbr>')
+            text = text.replace('<span class="sig-name', '<wbr><span class="sig-name')
         text = re.sub(r"<p>alias of .*?</p>", "", text, flags=re.DOTALL)  # a type, which the text above says in words
         text = re.sub(r'<dl>\n((?:<dd><em class="sig-param">.*</dd>\n)+)</dl>', r'<ul class="sig-parameters">\n\1</ul>', text)
         path.write_text(re.sub(r'<dd>(<em class="sig-param">.*)</dd>', r"<li>\1</li>", text), encoding="utf-8")
