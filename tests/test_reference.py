@@ -70,12 +70,26 @@ def test_the_index_lists_every_page_once() -> None:
     assert sorted(rows) == sorted(page.stem for page in PAGES)
 
 
-def test_each_parameter_of_a_docstring_has_an_entry_of_its_own() -> None:
+@pytest.fixture(scope="module")
+def names() -> Any:
+    """``docs/names.py``, which prepares the docstrings."""
     pytest.importorskip("sphinx")
     spec = importlib.util.spec_from_file_location("docs_names", DOCS / "names.py")
     assert spec is not None and spec.loader is not None
-    names = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(names)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_an_enumeration_shows_its_members_and_an_error_in_a_sentence_is_a_name(names: Any) -> None:
+    lines = ["Raises BadArgument for |x| > 1.", "", "Raises:", "    BadArgument: ``BadArgument`` stays."]
+    names.prepare(None, "class", "Outcome", mfc.design.Outcome, None, lines)
+    assert lines[:4] == ["Raises ``BadArgument`` for \\|x\\| > 1.", "", "Raises:", "    BadArgument: ``BadArgument`` stays."]
+    assert lines[5] == f"- ``FOUND``: {mfc.design.Outcome.FOUND.value}" and len(lines) == 6 + len(mfc.design.Outcome)
+    assert names.members(mfc.requirements.Status)[0] == "- ``PASS``"
+
+
+def test_each_parameter_of_a_docstring_has_an_entry_of_its_own(names: Any) -> None:
     text = ["Args:", "    kp: [1/s^2], ki: [1/s^3]; scalar. q, v: at rest: 0.", "        More.", "    a, b, c: one, or b itself.", "", "End."]
     entries = ["    kp: [1/s^2]; scalar", "    ki: [1/s^3]; scalar", "    q: at rest: 0.", "        More.", "    v: at rest: 0.", "        More."]
     expected = ["Args:", *entries, *(f"    {x}: one, or b itself." for x in "abc"), "", "End."]
