@@ -214,17 +214,22 @@ def shoot(advance: PeriodMap, x0: Array, tolerance: float = 1e-10, iterations: i
             return Orbit(np.asarray(x, float), np.array(Phi), count, size)
         if not (np.isfinite(size) and np.isfinite(Phi).all()) or count == iterations:
             break
-        step = np.linalg.lstsq(np.eye(x.size) - Phi, end - x, rcond=1e-11)[0]
-        for fraction in (1.0, 0.5, 0.25, 0.125, 0.0625, 0.01):
-            tried = x + fraction * step
-            end_tried, Phi_tried = advance(np.asarray(tried, float))
-            size_tried = float(np.linalg.norm(end_tried - tried))
-            if size_tried < size:
-                break
-        else:
+        nearer = _nearer(advance, x, np.asarray(np.linalg.lstsq(np.eye(x.size) - Phi, end - x, rcond=1e-11)[0], float), size)
+        if nearer is None:
             break
-        x, end, Phi, size = tried, end_tried, Phi_tried, size_tried
+        x, end, Phi, size = nearer
     raise NotConverged(f"no periodic orbit found: |x(T) - x(0)| = {size:.3g} after {count} Newton iterations, tolerance {goal:.3g}; start closer")
+
+
+def _nearer(advance: PeriodMap, x: Array, step: Array, size: float) -> tuple[Array, Array, Array, float] | None:
+    """x moved by the step or a part of it so that its residual is below ``size``: x, x(T), Phi and the residual; None where no part does."""
+    for fraction in (1.0, 0.5, 0.25, 0.125, 0.0625, 0.01):
+        tried = np.asarray(x + fraction * step, float)
+        end, Phi = advance(tried)
+        residual = float(np.linalg.norm(end - tried))
+        if residual < size:
+            return tried, end, Phi, residual
+    return None
 
 
 def transient_growth(Phi: Array, times: Array) -> TransientGrowth:
