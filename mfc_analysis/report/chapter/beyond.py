@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,10 @@ from mfc_analysis.requirements.line import Status
 from mfc_analysis.simulation.settling import settles
 from mfc_analysis.trajectories.tool import ToolHold
 from mfc_analysis.units import hertz
+
+if TYPE_CHECKING:
+    from mfc_analysis.analysis.passivity import Passivity
+    from mfc_analysis.plots.figure import Axes
 
 SOURCES = (
     "Hogan, Impedance control, J. Dyn. Sys. Meas. Control 107 (1985) 1-24",
@@ -61,6 +66,11 @@ def impedance_loop(damping: float, wall: float | None = None) -> ClosedLoop:
     return ClosedLoop(slider, law, ToolHold(slider.pose([0.0])), environment=surface, q_start=[0.0], hardware=Hardware(torque_lag=LAG))
 
 
+def damping_map(port: Passivity) -> Axes:
+    """The damping of a port over frequency, on a sheet of its own; a function that can be sent to another process."""
+    return port.plot(ax=plots.axes_for("map"))
+
+
 def impedance_section() -> Section:
     """Stable, passive and how much damping is missing, against D > T K."""
     rows, worst, said = [], 0.0, []
@@ -79,9 +89,8 @@ def impedance_section() -> Section:
         Column("port", numeric=False),
     )  # fmt: skip
     lin = impedance_loop(2 * LAG * K).linearize([0.0])
-    shown = lin.passivity()
     drawn = Figure(
-        lambda: shown.plot(ax=plots.axes_for("map")),
+        partial(damping_map, lin.passivity()),
         "Damping of the port at the tool, D = 2 T K: positive at all frequencies, so no spring makes the loop unstable.",
         "Damping of the port over frequency: nowhere negative; it falls to zero above the lag.",
     )

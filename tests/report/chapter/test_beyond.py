@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,7 @@ def test_an_impedance_behind_a_lag_is_stable_and_passive_above_t_k_only() -> Non
     rows = [[str(cell) for cell in row] for row in table(found, "One mass").rows]
     assert [row[2:] for row in rows] == [["unstable", "0 of 3", "not passive"]] * 2 + [["stable", "3 of 3", "passive"]] * 2
     assert all(proof.status is Status.PASS for proof in found.proofs) and "T K = 10 Ns/m" in found.finding
+    assert pickle.loads(pickle.dumps(found)).finding == found.finding  # from the process that made it
 
 
 @pytest.fixture(scope="module")

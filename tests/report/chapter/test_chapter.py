@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import shutil
@@ -28,6 +29,7 @@ from tests.report.loops.test_record import rebuilt, same_margins
 from tests.report.render.test_pdf import words
 
 LOOP = "9.8 independent PID, planar 2R"
+ROOM = Path(chapter.__file__).parents[1]  #: of the reports
 
 
 def made(designs: Designs) -> Document:
@@ -114,6 +116,27 @@ def test_the_parts_of_the_chapter_are_those_that_are_there():
     room = Path(chapter.__file__).parent
     with_sections = {path.stem for path in room.glob("*.py") if "\ndef sections(" in path.read_text()}
     assert set(chapter.PARTS) == with_sections and set(chapter.LONGEST_FIRST) <= with_sections
+
+
+def test_no_figure_of_the_chapter_is_a_function_that_cannot_be_sent_to_another_process():
+    """A part whose sections cannot be sent back is made again by the first process."""
+    recipes = []
+    for path in (ROOM / name for name in ("chapter", "loops")):
+        for file in path.glob("*.py"):
+            module = ast.parse(file.read_text(encoding="utf-8"))
+            inner = {
+                f.name
+                for top in ast.walk(module)
+                if isinstance(top, ast.FunctionDef)
+                for f in ast.walk(top)
+                if isinstance(f, ast.FunctionDef) and f is not top
+            }
+            for call in ast.walk(module):
+                if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "Figure":
+                    recipe = call.args[0].args[0] if isinstance(call.args[0], ast.Call) else call.args[0]
+                    recipes.append(recipe)
+                    assert not isinstance(recipe, ast.Lambda) and getattr(recipe, "id", "") not in inner, f"{file.name}:{call.lineno}"
+    assert len(recipes) > 30
 
 
 def test_the_same_chapter_twice_is_the_same_bytes(good):
