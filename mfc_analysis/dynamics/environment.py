@@ -146,7 +146,7 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool | Bools)
         J = Jlog3(angle)
         depth, rate = np.concatenate([depth, angle], axis=-1), np.concatenate([rate, times(J, w)], axis=-1)
     elastic = depth @ K + surface.f0[:size]
-    f, pushes = elastic + rate @ B, np.ones(1)
+    f, pushes = elastic + rate @ B, None
     if lose_contact is not False:
         touched = elastic > 0 if lose_contact is True else np.asarray(lose_contact)[:size]
         pushes = np.where((f > 0) & touched, 1.0, 0.0)
@@ -166,7 +166,8 @@ def _press(surface: Environment, X: Pose, V: Vector, lose_contact: bool | Bools)
     if size == 6:
         depths = np.concatenate([depths, angles], axis=-2)
         rates = np.concatenate([rates, J @ dV[..., 3:, :] + Jlog3_slope(angle, w) @ angles], axis=-2)
-    df = pushes[..., None] * (K @ depths + B @ rates)
+    df = K @ depths + B @ rates
+    df = df if pushes is None else pushes[..., None] * df
     dg, dm = Ct @ df[..., :3, :] + hat(g) @ turn, np.zeros_like(turn)
     if size == 6:
         dm = np.swapaxes(J, -1, -2) @ df[..., 3:, :] - Jlog3_slope(-angle, f[..., 3:]) @ angles

@@ -363,6 +363,11 @@ class Configuration:
     def _kinematics(self) -> tuple[Array, Array, Array]:
         of = self._of
         model, data, frame = of._model, of._data, of.robot.frame_id
+        if self.q.ndim == 1 and of._plain:  # one point, in half the time
+            pin.computeJointJacobians(model, data, np.ascontiguousarray(self.q))
+            J = np.array(pin.getFrameJacobian(model, data, frame, pin.LOCAL), order="C").reshape(6, of.n)
+            X = np.array(pin.updateFramePlacement(model, data, frame).homogeneous, order="C")
+            return J, X[:3, :3], X[:3, 3]
         points = of._configurations(self.q)
         J, X = np.empty((len(points), 6, of.n)), np.empty((len(points), 4, 4))
         for i, at in enumerate(points):
