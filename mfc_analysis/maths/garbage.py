@@ -13,9 +13,11 @@ NEW = 50_000  #: objects created between two runs; with Python's default of 700 
 def rare_collections() -> Iterator[None]:
     """Within, the collector runs every ``NEW`` objects; a higher number of the user, or none, is kept."""
     before = gc.get_threshold()
-    if 0 < before[0] < NEW:
+    rarer = 0 < before[0] < NEW
+    if rarer:
         gc.set_threshold(NEW, *before[1:])
     try:
         yield
     finally:
-        gc.set_threshold(*before)
+        if rarer:  # else another thread may have set it, and sets it back
+            gc.set_threshold(*before)

@@ -31,6 +31,16 @@ def test_an_error_within_leaves_the_users_setting() -> None:
     assert gc.get_threshold() == (700, 10, 10)
 
 
+def test_reports_of_two_threads_leave_the_users_setting_whichever_ends_first() -> None:
+    gc.set_threshold(700, 10, 10)
+    one, two = rare_collections(), rare_collections()
+    one.__enter__()
+    two.__enter__()
+    one.__exit__(None, None, None)
+    two.__exit__(None, None, None)
+    assert gc.get_threshold() == (700, 10, 10)
+
+
 def test_a_report_is_rendered_with_few_collections(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     from mfc_analysis.report.document.document import Document, Section
     from mfc_analysis.report.render import write
