@@ -271,10 +271,7 @@ class Robot:
         return replace(self, viscous=new, coulomb=checks.per_joint("coulomb", coulomb, self.n, low=0.0), coulomb_speed=speed)
 
     def with_armature(self, armature: ArrayLike) -> Robot:
-        """The robot with this ``armature``, the rotor inertia at each joint (gear ratio squared times inertia): scalar or (n,) [kg m^2 or kg] >= 0.
-
-        It replaces the present one.
-        """
+        """The robot with this ``armature`` in place of its own: rotor inertia times gear ratio squared, scalar or (n,) [kg m^2 or kg] >= 0."""
         values = checks.per_joint("armature", armature, self.n, low=0.0)
         model = pin.Model(self.model)
         ours = np.zeros(self.n)
@@ -372,8 +369,7 @@ class Robot:
     def task_inertia(self, q: ArrayLike) -> Array:
         """(..., 6, 6) Lambda = (J M^-1 J^T)^-1 of equation 9.15, J^-T M J^-1 where J is square.
 
-        ``q`` (..., n) [rad or m]. Warns (``MfcWarning``) above a condition number of J of 1e4; raises ``NearSingular`` above 1e6 and for fewer
-        than six joints.
+        ``q`` (..., n) [rad or m]. Warns (``MfcWarning``) above a condition number of J of 1e4; raises ``NearSingular`` above 1e6 and for n < 6.
         """
         J = self.jacobian(q)
         check_regular(self.tool, J)
