@@ -23,7 +23,8 @@ def main(pages: list[str]) -> int:
     if not pages:
         shutil.rmtree(ROOT / "build" / "site", ignore_errors=True)
         sphinx = [*run, "sphinx", "-q", "-W", "--keep-going", "-E", "-j", "2", "-d", ROOT / "build" / "doctrees"]
-        steps += [[*sphinx, ROOT / "docs", ROOT / "build" / "site"], [*run, "pytest", "-q", "-n", "2", ROOT / "docs" / "check_site.py"]]
+        checks = [ROOT / name for name in ("docs/check_site.py", "tests/test_docs.py", "tests/test_reference.py")]  # those of tests need Sphinx
+        steps += [[*sphinx, ROOT / "docs", ROOT / "build" / "site"], [*run, "pytest", "-q", "-n", "2", *checks]]
     return next((code for step in steps if (code := subprocess.call(step))), 0)
 
 
