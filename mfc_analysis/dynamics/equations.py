@@ -280,20 +280,19 @@ class Equations:
         Raises NearSingular and NearPi with the time.
         """
         try:
-            return self._flow(t, self.split(x), Wires() if wires is None else wires, NO_INPUTS if inputs is None else inputs, lose_contact)
+            return self._flow(t, self.split(x), wires, NO_INPUTS if inputs is None else inputs, lose_contact)
         except (NearSingular, NearPi, np.linalg.LinAlgError) as why:
             raise at_time(why, t) from None
 
-    def _flow(self, t: float | Array, s: dict[str, Vector], wires: Wires, inputs: Inputs, lose_contact: LoseContact) -> Flow:
+    def _flow(self, t: float | Array, s: dict[str, Vector], wires: Wires | None, inputs: Inputs, lose_contact: LoseContact) -> Flow:
         touched = self.touch(s, lose_contact=lose_contact)
-        action, rates = self.control(t, s, touched.wrench, wires, inputs)
-        disturbance = 0.0 if inputs.disturbance is None else inputs.disturbance
+        action, rates = self.control(t, s, touched.wrench, wires or uncut, inputs)
         command = action.command
         if self.law.needs_acceleration:
-            command = self._with_measured_acceleration(t, s, command, touched.wrench, inputs, wires)
-        else:
+            command = self._with_measured_acceleration(t, s, command, touched.wrench, inputs, wires or Wires())
+        elif wires is not None:
             command = wires(self.actuator, command)
-        rates.update(self.move(s, command, touched.wrench, disturbance))
+        rates.update(self.move(s, command, touched.wrench, inputs.disturbance))
         return Flow(rates, action.error, command, touched.wrench, touched)
 
     def touch(self, s: Mapping[str, Vector], *, lose_contact: LoseContact = False) -> Contact:
@@ -340,12 +339,12 @@ class Equations:
             rates["z"] = rates["z"] + self.law.unwinding(self.controller, now, ref, lost)
         return action, rates
 
-    def move(self, s: Mapping[str, Vector], command: Vector, F: Vector, disturbance: Vector) -> dict[str, Vector]:
+    def move(self, s: Mapping[str, Vector], command: Vector, F: Vector, disturbance: Vector | None) -> dict[str, Vector]:
         """The plant: rates of its states under the commanded torque (velocity) that arrives at the joints."""
         drive, rates = self.actuators.drive(s, command)
         springs = self.joints.springs
         if self.law.plant == "velocity":
-            rates["q"] = drive + disturbance
+            rates["q"] = drive if disturbance is None else drive + disturbance
             return rates
         if springs is not None:
             spring = self._spring(s)
@@ -362,9 +361,9 @@ class Equations:
         assert springs is not None
         return (s["theta"] - s["q"]) * springs.stiffness + (s["omega"] - s["v"]) * springs.damping
 
-    def _net(self, s: Mapping[str, Vector], drive: Vector, F: Vector, disturbance: Vector) -> Vector:
+    def _net(self, s: Mapping[str, Vector], drive: Vector, F: Vector, disturbance: Vector | None) -> Vector:
         """Net torque M q'' + C v + g: drive + disturbance - friction - J^T F_tip."""
-        net = drive + disturbance
+        net = drive if disturbance is None else drive + disturbance
         if self.plant.rubs:
             net = net - self.plant.friction(s["v"])
         if self.surfaces:
@@ -378,7 +377,7 @@ class Equations:
         under this same torque tau.
         """
         law, ref, springs = self.law, self.reference(t, inputs), self.joints.springs
-        disturbance = 0.0 if inputs.disturbance is None else inputs.disturbance
+        disturbance = inputs.disturbance
         assert isinstance(ref, JointReference)
         spring = None if springs is None else self._spring(s)
         link = springs is not None and not springs.motor_encoder  # its acceleration is that of the spring, whatever tau
@@ -426,7 +425,7 @@ class Equations:
             command = action.command
             if self.law.needs_acceleration:
                 command = self._with_measured_acceleration(t, s, command, F, Inputs(disturbance=disturbance), Wires())
-            rates.update(self.move(s, command, F, 0.0 if disturbance is None else disturbance))
+            rates.update(self.move(s, command, F, disturbance))
         except (NearSingular, NearPi, np.linalg.LinAlgError) as why:
             raise at_time(why, t) from None
         if x.ndim > 1:

@@ -59,7 +59,7 @@ class Slot(NamedTuple):
         return np.eye(len(self.channels)) if self.integral else np.zeros((len(self.channels), 0))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)  # not frozen, as the next two: made at each evaluation, in a third of the time
 class JointReference:
     """Desired joint motion and tool force at the evaluation times."""
 
@@ -69,7 +69,7 @@ class JointReference:
     F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) desired wrench on the environment, tool frame; 0 without a force reference
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class ToolReference:
     """Desired tool motion and force at the evaluation times."""
 
@@ -79,7 +79,7 @@ class ToolReference:
     F_d: Vector = field(default_factory=lambda: np.zeros(6))  #: (..., 6) desired wrench on the environment, tool frame; 0 without a force reference
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class Measured:
     """Inputs of a law: measured signals and its own states."""
 

@@ -261,13 +261,10 @@ class Primitives:
     def _with_viscous(self, tau: Array | Dual, v: Vector) -> Array | Dual:
         return tau if self._viscous is None else tau + v * self._viscous
 
-    def _single(self, *vectors: Vector) -> bool:
+    def _single(self, q: Vector, v: Vector, a: Vector) -> bool:
         """True for plain vectors (n,) of one point that Pinocchio takes as they are."""
-        if self._plain:
-            for x in vectors:
-                if type(x) is not np.ndarray or x.ndim != 1:
-                    return False
-        return self._plain
+        one = np.ndarray
+        return self._plain and type(q) is one and type(v) is one and type(a) is one and q.ndim == v.ndim == a.ndim == 1
 
     def _configurations(self, q: Array) -> Array:
         return np.ascontiguousarray(q if self._plain else self.robot.configuration(q)).reshape(-1, self._model.nq)
@@ -299,10 +296,10 @@ class Primitives:
         self, call: Callable[..., object], model: pin.Model, data: pin.Data, views: tuple[Array, ...], q: Array, *more: Array | None
     ) -> list[Array]:
         """Calls at every point (None: zeros) and copies Pinocchio's arrays, which each call overwrites, into batches."""
+        if q.ndim == 1 and self._plain and all(x is None or x.ndim == 1 for x in more):
+            call(model, data, q, *[self._zero if x is None else x for x in more])
+            return [view.copy() for view in views]
         lead = _lead(q, more)
-        if self._plain and q.size == self.n and lead in ((), (1,)):
-            call(model, data, *(self._zero if x is None else x.reshape(-1) for x in (q, *more)))
-            return [view.copy().reshape(*lead, *view.shape) for view in views]
         count, columns = self._columns(lead, q, more)
         outs = [np.empty((count, *view.shape)) for view in views]
         pairs = list(zip(outs, views, strict=True))
@@ -370,9 +367,10 @@ class Configuration:
             return J, X[:3, :3], X[:3, 3]
         points = of._configurations(self.q)
         J, X = np.empty((len(points), 6, of.n)), np.empty((len(points), 4, 4))
+        each = J if of.n > 1 else J[..., 0]  # as Pinocchio gives it
         for i, at in enumerate(points):
             pin.computeJointJacobians(model, data, at)
-            J[i] = pin.getFrameJacobian(model, data, frame, pin.LOCAL).reshape(6, of.n)  # (6,) for a single joint
+            each[i] = pin.getFrameJacobian(model, data, frame, pin.LOCAL)
             X[i] = pin.updateFramePlacement(model, data, frame).homogeneous
         lead = self.q.shape[:-1]
         X = X.reshape(*lead, 4, 4)
@@ -397,8 +395,9 @@ class Configuration:
         model, data, frame = of._model, of._data, of.robot.frame_id
         points = of._configurations(self.q)
         J = np.empty((len(points), 6, of.n))
+        each = J if of.n > 1 else J[..., 0]  # as Pinocchio gives it
         for i, at in enumerate(points):
-            J[i] = pin.computeFrameJacobian(model, data, at, frame, pin.LOCAL).reshape(6, of.n)  # (6,) for a single joint
+            each[i] = pin.computeFrameJacobian(model, data, at, frame, pin.LOCAL)
         return of._unordered(J).reshape(*self.q.shape[:-1], 6, of.n)
 
     def bracketed(self, x: Array) -> Array:
@@ -426,7 +425,7 @@ class Configuration:
     def M(self) -> Array:
         """Mass matrix (..., n, n), armature included."""
         of = self._of
-        if of._single(self.q):
+        if of._plain and self.q.ndim == 1:
             return symmetric(np.array(pin.crba(of._model, of._data, self.q)))
         (M,) = of._collect(pin.crba, of._model, of._data, (of._data.M,), self.q)
         return symmetric(M)
@@ -496,15 +495,19 @@ def _lead(q: Array, more: tuple[Array | None, ...]) -> tuple[int, ...]:
 
 @cache
 def _below(n: int) -> tuple[Ints, Ints]:
-    """Indices of the entries below the diagonal."""
-    return np.tril_indices(n, -1)
+    """Places of the entries below the diagonal and of those that mirror them, in a matrix (n, n) row by row."""
+    i, j = np.tril_indices(n, -1)
+    return i * n + j, j * n + i
 
 
 def symmetric(upper: Array) -> Array:
-    """The full symmetric matrix from the upper triangle that Pinocchio fills."""
-    i, j = _below(upper.shape[-1])
-    upper[..., i, j] = upper[..., j, i]
-    return upper
+    """The full symmetric matrices (..., n, n) from the upper triangle that Pinocchio fills."""
+    n = upper.shape[-1]
+    below, above = _below(n)
+    full = np.ascontiguousarray(upper)
+    rows = full.reshape(*full.shape[:-2], n * n)  # a view
+    rows[..., below] = rows[..., above]
+    return full
 
 
 def cross_columns(a: Array, b: Array) -> Array:

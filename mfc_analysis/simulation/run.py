@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from mfc_analysis.simulation.touching import Event, Touching
 
 Disturbance = Callable[[float], Array]
 Piece = Callable[[Any], Array]  #: t -> (nx,); (m,) times -> (nx, m)
-Guard = Callable[[Callable[[float, Array], Array], float], Callable[[float, Array], Array]]
 
 
 FAR = 1e4  #: [rad, m, rad/s, m/s] above this position or velocity a run has diverged
@@ -132,7 +131,6 @@ class Run:
     arrived: Callable[[float], Array] | None = None  #: with dead time or sampling: the command that has reached the joints
     touching: Touching | None = field(init=False, default=None)  #: None without a one-sided surface
     _changed: bool = False  #: the last piece ended where contact changes
-    _solvers: dict[str, Any] = field(init=False, default_factory=dict)  #: ``_ending`` of each method
 
     def __post_init__(self) -> None:
         if any(s.one_sided for s in self.equations.surfaces):
@@ -159,7 +157,7 @@ class Run:
 
     def passed(self, x: Array) -> bool:
         """True where a position or velocity in a state of the solver is beyond the limit."""
-        return not x @ x < FAR**2 and self.farthest(x) >= FAR  # the first is quick, and stricter
+        return not x.dot(x) < FAR**2 and self.farthest(x) >= FAR  # the first is quick, and stricter
 
     def states(self, x: Array) -> Array:
         """(nx,) the state, or (count, nx) those of all runs, from a state of the solver."""
@@ -181,7 +179,7 @@ class Run:
         states = self.states(x)
         s = e.split(states)
         F = e.touch(s, lose_contact=self.lose_contact).wrench if e.surfaces else NO_WRENCH
-        moved = e.move(s, drive, F, 0.0 if self.disturbance is None else self.disturbance(t))
+        moved = e.move(s, drive, F, None if self.disturbance is None else self.disturbance(t))
         return np.ravel(e.state_rates(moved, states.shape[:-1]))
 
     def held(self, drive: Array) -> Callable[[float, Array], Array]:
@@ -242,22 +240,22 @@ class Run:
             else:
                 options.update({name: options[name] / np.sqrt(self.count) for name in ("rtol", "atol")})
 
-        def solve(guard: Guard, options: dict[str, Any]) -> Any:
-            f = guard(rates, cost + SOLVER[options["method"]] / self.price)
+        def solve(options: dict[str, Any], *, stops: bool) -> Any:
+            f = self._guarded(rates, cost + SOLVER[options["method"]] / self.price, stops)
             if jac is not None and options["method"] in ("LSODA", "Radau", "BDF"):
                 options["jac"] = self._counted(jac)
             events = None if self.touching is None else [self.touching.change()]
             with np.errstate(all="ignore"):
-                return solve_ivp(f, (start, end), x, dense_output=True, events=events, **{**options, "method": self._ending(options["method"])})
+                return solve_ivp(f, (start, end), x, dense_output=True, events=events, run=self, **{**options, "method": _ending(options["method"])})
 
         try:
             try:
-                found = solve(self._stopping, options)
+                found = solve(options, stops=True)
             except _Stop:  # perhaps only the trial step is too long: retry with a method that shortens it
                 if self.count is not None:
                     self.stop(Outcome.REFUSED, start, str(self.refused))
                     return None
-                found = solve(self._or_nan, {**options, "method": "Radau" if jac is not None else "RK45", "first_step": None})
+                found = solve({**options, "method": "Radau" if jac is not None else "RK45", "first_step": None}, stops=False)
         except _Endless:
             self._give_up(start)
             return None
@@ -280,37 +278,33 @@ class Run:
         self.refused = None
         return np.array(found.y[:, -1])
 
-    def _stopping(self, rates: Callable[[float, Array], Array], cost: float) -> Callable[[float, Array], Array]:
+    def _guarded(self, rates: Callable[[float, Array], Array], cost: float, stops: bool) -> Callable[[float, Array], Array]:
+        """The rates for the solver, counted. Where they cannot be evaluated the solver is left (``stops``) or given NaN."""
+        work = cost * self.weight
+
         def guarded(t: float, x: Array) -> Array:
-            self._spend(cost)
+            self._spend(work)
             try:
                 return bounded(rates(t, x))
             except MfcError as why:
                 self.refused = why
-                raise _Stop from why
-
-        return guarded
-
-    def _or_nan(self, rates: Callable[[float, Array], Array], cost: float) -> Callable[[float, Array], Array]:
-        def guarded(t: float, x: Array) -> Array:
-            self._spend(cost)
-            try:
-                return bounded(rates(t, x))
-            except MfcError as why:
-                self.refused = why
+                if stops:
+                    raise _Stop from why
                 return np.full(x.shape, np.nan)
 
         return guarded
 
     def _counted(self, jac: Callable[[float, Array], Array]) -> Callable[[float, Array], Array]:
+        work = JACOBIAN * self.weight
+
         def counted(t: float, x: Array) -> Array:
-            self._spend(JACOBIAN)
+            self._spend(work)
             return jac(t, x)
 
         return counted
 
     def _spend(self, work: float) -> None:
-        self.spent += work * self.weight
+        self.spent += work
         if self.spent > self.most + STEP:
             raise _Endless
 
@@ -325,23 +319,6 @@ class Run:
         why = f"{self.most} evaluations of the equations are not enough to reach {self.end:g} s; max_evaluations= allows more"
         self.stop(Outcome.STOPPED, t, why)
 
-    def _ending(self, method: str) -> Any:
-        """scipy's solver with this name, whose last step is the first that goes too far, or after which no work is left."""
-        if method not in self._solvers:
-            run = self
-
-            class Ending(getattr(integrate, method)):  # type: ignore[misc]  # scipy has no types
-                status: str
-
-                def step(self) -> Any:
-                    message = super().step()
-                    if self.status == "running" and (run.spent >= run.most or run.passed(self.y)):
-                        self.status = "finished"
-                    return message
-
-            self._solvers[method] = Ending
-        return self._solvers[method]
-
     def _passes(self, path: Piece, before: float, after: float) -> float:
         """[s] where the path passes the limit in a step."""
 
@@ -351,9 +328,31 @@ class Run:
         return float(root_scalar(left, bracket=(before, after), xtol=1e-15).root) if left(before) > 0 > left(after) else after
 
 
+@cache
+def _ending(method: str) -> Any:
+    """scipy's solver with this name, whose last step is the first in which its ``run`` goes too far, or after which no work is left."""
+    solver: Any = getattr(integrate, method)
+
+    class Ending(solver):  # type: ignore[misc]  # scipy has no types
+        status: str
+
+        def __init__(self, *given: Any, run: Run, **options: Any) -> None:
+            super().__init__(*given, **options)
+            self.run = run
+
+        def step(self) -> Any:
+            message = solver.step(self)
+            run = self.run
+            if self.status == "running" and (run.spent >= run.most or run.passed(self.y)):
+                self.status = "finished"
+            return message
+
+    return Ending
+
+
 def bounded(rates: Array) -> Array:
     """The rates unchanged. Raises BadArgument above ``FASTEST``, where the solver would not finish."""
-    if not rates @ rates < FASTEST**2 and not np.abs(rates).max() < FASTEST:  # the first is quick, and stricter
+    if not rates.dot(rates) < FASTEST**2 and not np.abs(rates).max() < FASTEST:  # the first is quick, and stricter
         raise BadArgument("the motion", f"rates of {np.abs(rates).max():.3g}", f"state rates below {FASTEST:g}")
     return rates
 

@@ -61,8 +61,8 @@ def test_a_start_at_which_the_law_cannot_be_evaluated_leaves_the_others_alone() 
     found = response(loop.equations, base, 25)
     assert found is not None
     starts = np.zeros((3, loop.equations.nx))
-    starts[0, 0], starts[2, 2] = 0.1, 0.1
+    starts[0, :3], starts[2, 1:4] = 0.1, 0.1  # one joint alone turns the tool about one screw, on which the law is linear
     starts[1, :6] = -base.x[0, :6]  # all joints at zero: the ur5 lies stretched out
     both = found.misfits(starts)
-    assert np.isnan(both[1]) and np.isfinite(both[[0, 2]]).all()
+    assert np.isnan(both[1]) and (both[[0, 2]] > 1e-4).all()
     assert_allclose(both[[0, 2]], found.misfits(starts[[0, 2]]), rtol=1e-9)
