@@ -37,6 +37,8 @@ WITHIN = {
     "Sensitivities",
     "Stacked",
     "DelayedVerdict",
+    "Expansion",
+    "Motion",
     "ForceDesign",
     "Grid",
     "Intervals",

@@ -7,6 +7,7 @@ for inverses (y = S^-1 b has tangent S^-1 (db - dS y)). Values are ``(..., n)`` 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from functools import cache, cached_property
 from itertools import repeat
@@ -274,23 +275,25 @@ class Primitives:
         model, data = self._model, self._data
         if q.ndim == 1 and self._order is None and all(x.ndim == 1 for x in more):
             return np.array(call(model, data, q if self._plain else self.robot.configuration(q), *more))
-        lead = _lead(q, more)
-        count, columns = self._columns(lead, q, more)
-        out = np.empty((count, size or self.n))
+        lead, columns = self._columns(q, more)
+        out = np.empty((math.prod(lead), size or self.n))
         for i, at in enumerate(zip(*columns, strict=False)):
             out[i] = call(model, data, *at)
         return (out if self._order is None or size else out[:, self._back]).reshape(*lead, out.shape[-1])
 
-    def _columns(self, lead: tuple[int, ...], q: Array, more: tuple[Array | None, ...]) -> tuple[int, list[Iterable[Array]]]:
-        first = self._configurations(spread(q, lead))
-        columns: list[Iterable[Array]] = [first]
+    def _columns(self, q: Array, more: tuple[Array | None, ...]) -> tuple[tuple[int, ...], list[Iterable[Array]]]:
+        """The leading axes of all arguments together, and each of them point by point (None: zeros)."""
+        if self._plain and q.ndim == 2 and all(x is not None and x.shape == q.shape for x in more):  # what the rest would come to
+            return q.shape[:1], [q, *(x for x in more if x is not None)]
+        lead = _lead(q, more)
+        columns: list[Iterable[Array]] = [self._configurations(spread(q, lead))]
         for x in more:
             if x is None:
                 columns.append(repeat(self._zero))
                 continue
             x = spread(x, lead).reshape(-1, self.n)
             columns.append(np.ascontiguousarray(x if self._order is None else x[:, self._order]))
-        return len(first), columns
+        return lead, columns
 
     def _collect(
         self, call: Callable[..., object], model: pin.Model, data: pin.Data, views: tuple[Array, ...], q: Array, *more: Array | None
@@ -299,9 +302,8 @@ class Primitives:
         if q.ndim == 1 and self._plain and all(x is None or x.ndim == 1 for x in more):
             call(model, data, q, *[self._zero if x is None else x for x in more])
             return [view.copy() for view in views]
-        lead = _lead(q, more)
-        count, columns = self._columns(lead, q, more)
-        outs = [np.empty((count, *view.shape)) for view in views]
+        lead, columns = self._columns(q, more)
+        outs = [np.empty((math.prod(lead), *view.shape)) for view in views]
         pairs = list(zip(outs, views, strict=True))
         for i, at in enumerate(zip(*columns, strict=False)):
             call(model, data, *at)

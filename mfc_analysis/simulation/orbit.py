@@ -16,7 +16,7 @@ from mfc_analysis.errors import BadArgument, NotConverged, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation.run import Outcome, most_evaluations
-from mfc_analysis.simulation.simulation import Simulation, simulate
+from mfc_analysis.simulation.simulation import Motion, motion
 
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
 SETTLE = 20  #: periods of the run from whose end a second search starts
@@ -28,7 +28,7 @@ class NotEnoughWork(NotConverged):
     """The limit on work ended the search."""
 
 
-def transitions_along(e: Equations, run: Simulation, edges: Array) -> Array:
+def transitions_along(e: Equations, run: Motion, edges: Array) -> Array:
     """(N, nx, nx) transition matrices of the linearised loop along a run, one for each step between the N + 1 ``edges`` [s]."""
     nodes = gauss_nodes(edges)
     flat = np.ravel(nodes)
@@ -53,11 +53,11 @@ def floquet(e: Equations, period: float | None = None, max_evaluations: int | No
         raise Unsupported("hardware.delay", max(e.delays.values()), takes)
     edges = np.linspace(0.0, float(T), STEPS + 1)
     most = most_evaluations(e) if max_evaluations is None else checks.whole("max_evaluations", max_evaluations, 1, 10**12)
-    runs: list[Simulation] = []
+    runs: list[Motion] = []
 
-    def run(x: Array, end: float) -> Simulation:
+    def run(x: Array, end: float) -> Motion:
         left = most - sum(earlier.evaluations for earlier in runs)
-        runs.append(simulate(e, [0.0, end], x, method="LSODA", max_evaluations=max(1, left), **TIGHT))
+        runs.append(motion(e, [0.0, end], x, max_evaluations=max(1, left), **TIGHT))
         if runs[-1].outcome is Outcome.STOPPED:
             used = (
                 f"{most} evaluations of the equations are not enough: the limit was reached in run {len(runs)} of the search over a period of {T:g} s"

@@ -17,7 +17,7 @@ from mfc_analysis.dynamics.jacobians import open_system
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation.delayed import COEFFICIENTS, INTEGRALS, NODES, History, at_nodes, combined, segments
 from mfc_analysis.simulation.sampled import own_states_step
-from mfc_analysis.simulation.simulation import Simulation
+from mfc_analysis.simulation.simulation import Motion
 
 FINE = 1e-11  #: relative accuracy, below the tolerance of the runs of ``validate``
 SUBSTITUTIONS, ROUNDING = 60, 1e-14  #: largest number of repetitions, and the relative change at which they end
@@ -25,7 +25,7 @@ SHORTEST = 1e-3  #: of a segment: its shortest part
 OnSegment = Callable[[Array], Array]
 
 
-def delayed(e: Equations, base: Simulation, t: Array, directions: Array) -> Array:
+def delayed(e: Equations, base: Motion, t: Array, directions: Array) -> Array:
     """(N, nx[, k]) x' = A(t) x + B w(t - T), w = C x + D w(t - T) along the base run, from ``directions``; before the start w is constant.
 
     The segments and the record of the signals are those of the nonlinear run, so that what they leave out is the same in both; A(t) is a cubic
@@ -114,7 +114,7 @@ def solved(A: OnSegment, forcing: OnSegment, length: float, x: Array, low: float
 # --- sampled loops -----------------------------------------------------------------------------------------------
 
 
-def sampled_at_rest(e: Equations, base: Simulation, t: Array, directions: Array) -> Array:
+def sampled_at_rest(e: Equations, base: Motion, t: Array, directions: Array) -> Array:
     """(N, nx[, k]) by powers of the discrete model of the loop; the base run is at rest."""
     opened, nx = sampled(open_system(e, t[:1], base.state(t[:1])), e.sample_time), e.nx
     A = close_wires(opened)[0][0]
@@ -132,7 +132,7 @@ def sampled_at_rest(e: Equations, base: Simulation, t: Array, directions: Array)
     return out
 
 
-def _first_signals(e: Equations, base: Simulation, directions: Array) -> tuple[Array, Array]:
+def _first_signals(e: Equations, base: Motion, directions: Array) -> tuple[Array, Array]:
     """Command of the law (n[, k]) and reading of the force sensor (6[, k]) at the disturbed start, without dead time."""
     system = open_system(e, base.t[:1], base.x[:1])
     keep = np.zeros(system.nw, bool)
@@ -142,7 +142,7 @@ def _first_signals(e: Equations, base: Simulation, directions: Array) -> tuple[A
     return command, force
 
 
-def sampled_along(e: Equations, base: Simulation, t: Array, directions: Array) -> Array:
+def sampled_along(e: Equations, base: Motion, t: Array, directions: Array) -> Array:
     """(N, nx[, k]) along a moving base run: the plant linearised at Gauss nodes within each sample, the law at the samples.
 
     The order of events is that of ``sampled.run_sampled``: read, command, hold after the dead time, own states advanced with inputs held.
@@ -180,7 +180,7 @@ def sampled_along(e: Equations, base: Simulation, t: Array, directions: Array) -
     return out
 
 
-def _plant_steps(e: Equations, base: Simulation, edges: Array) -> Array:
+def _plant_steps(e: Equations, base: Motion, edges: Array) -> Array:
     """(N, np, np + n) matrices from the plant states and the held command to the plant states at the next edge; two Gauss nodes a step."""
     nodes = np.ravel(gauss_nodes(edges))
     assert base.arrived is not None
@@ -195,7 +195,7 @@ def _plant_steps(e: Equations, base: Simulation, edges: Array) -> Array:
     return transition_magnus(block.reshape(-1, 2, size + n, size + n), np.diff(edges))[:, :size]
 
 
-def _law_rows(e: Equations, base: Simulation, samples: Array) -> tuple[Array, Array, Array, Array, Array]:
+def _law_rows(e: Equations, base: Motion, samples: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Matrices at the samples: command and state rates from the state and, separately, from the measured force; and the force from the state."""
     assert base.arrived is not None
     x = base.state(samples + 1e-7 * np.min(np.diff(base.t)))  # just after the sample, where the law's own states have jumped

@@ -43,26 +43,16 @@ GRAIN = 1e-12  #: of a time (of 1 s where it is earlier), below which two times 
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
-    """A nonlinear run at k times."""
+class Motion:
+    """The states of a nonlinear run at k times."""
 
     t: Array  #: (k,) [s]
     x: Array  #: (k, nx) states in the order of ``state_names``
-    q: Array  #: (k, n) [rad, m]
-    v: Array  #: (k, n) [rad/s, m/s]
-    tau: Array  #: (k, n) torque at the joints, after dead time, limit and lag [Nm] (velocity laws: velocity [rad/s])
-    command: Array  #: (k, n) command of the law [Nm] (velocity laws: velocity [rad/s])
-    error: Array  #: (k, n) e = q_d - q [rad, m], or X_e of tool laws, (k, 6) or its selected directions
-    twist: Array  #: (k, 6) body twist of the tool [m/s, rad/s]
-    force: Array  #: (k, 6) F_tip, tool frame [N, Nm]
-    events: tuple[Event, ...]  #: contact made and lost
     outcome: Outcome  #: how it ended
     message: str  #: what happened and when, a sentence
-    state_names: tuple[str, ...]  #: (nx,) names of the states
     path: DenseOutput = field(repr=False)  #: the states between the samples
-    evaluations: int = 0  #: of the equations: the work of the run, as ``max_evaluations`` counts it
-    output_names: tuple[str, ...] = ()  #: names of the outputs of ``response``, as those of the linearised loop
-    arrived: Callable[[float], Array] | None = field(default=None, repr=False)  #: with dead time or sampling: t -> (n,) command at the joints
+    evaluations: int  #: of the equations: the work of the run, as ``max_evaluations`` counts it
+    arrived: Callable[[float], Array] | None = field(repr=False)  #: with dead time or sampling: t -> (n,) command at the joints
 
     @property
     def diverged(self) -> bool:
@@ -80,6 +70,22 @@ class Simulation:
         if times.size == 0 or np.any(times < self.t[0] - 1e-12) or np.any(times > self.t[-1] + 1e-12):
             raise BadArgument("times", t, f"times within the run, {self.t[0]:g} to {self.t[-1]:g} s")
         return self.path.along(times)
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation(Motion):
+    """A nonlinear run at k times."""
+
+    q: Array  #: (k, n) [rad, m]
+    v: Array  #: (k, n) [rad/s, m/s]
+    tau: Array  #: (k, n) torque at the joints, after dead time, limit and lag [Nm] (velocity laws: velocity [rad/s])
+    command: Array  #: (k, n) command of the law [Nm] (velocity laws: velocity [rad/s])
+    error: Array  #: (k, n) e = q_d - q [rad, m], or X_e of tool laws, (k, 6) or its selected directions
+    twist: Array  #: (k, 6) body twist of the tool [m/s, rad/s]
+    force: Array  #: (k, 6) F_tip, tool frame [N, Nm]
+    events: tuple[Event, ...]  #: contact made and lost
+    state_names: tuple[str, ...]  #: (nx,) names of the states
+    output_names: tuple[str, ...]  #: names of the outputs of ``response``, as those of the linearised loop
 
     def operating_point(self, times: Array) -> OperatingPoint:
         """The run as operating points at times (m,) [s], to linearise along. Raises BadArgument outside the run."""
@@ -151,6 +157,31 @@ def simulate(
     of the law at the start.
     """
     asked = asked_times(times)
+    run = _run_to_end(equations, asked, x0, disturbance, rtol=rtol, atol=atol, method=method, max_evaluations=max_evaluations)
+    found = _gathered(run, asked)
+    warn_near_singular(equations, found.t, found.q)
+    return found
+
+
+def motion(e: Equations, times: ArrayLike, x0: Array, *, rtol: float, atol: float, max_evaluations: int | None = None) -> Motion:
+    """``simulate`` by LSODA without its signals."""
+    asked = asked_times(times)
+    run = _run_to_end(e, asked, x0, None, rtol=rtol, atol=atol, method="LSODA", max_evaluations=max_evaluations)
+    t, x = _reached(run, asked)
+    return Motion(t, x, run.outcome, run.message, run.path, round(run.spent), run.arrived)
+
+
+def _run_to_end(
+    equations: Equations,
+    asked: Array,
+    x0: Array,
+    disturbance: ArrayLike | Callable[[float], ArrayLike] | None,
+    *,
+    rtol: float,
+    atol: float,
+    method: str,
+    max_evaluations: int | None,
+) -> Run:
     checks.choice("method", method, METHODS)
     options = {"rtol": checks.number("rtol", rtol, low=1e-14), "atol": checks.number("atol", atol, low=1e-16), "method": method}
     e = equations
@@ -166,9 +197,7 @@ def simulate(
         bounded(value(e.join(start.rates)))
     if len(asked) > 1:
         _run(run, asked, x0)
-    found = _gathered(run, asked)
-    warn_near_singular(e, found.t, found.q)
-    return found
+    return run
 
 
 def _refuse_what_no_time_resolves(e: Equations, latest: float) -> None:
@@ -244,15 +273,20 @@ def simulate_together(
     return np.moveaxis(run.path.along(times).reshape(len(times), *starts.shape), 0, 1), run.outcome, run.spent
 
 
-def _gathered(run: Run, asked: Array) -> Simulation:
-    e = run.equations
+def _reached(run: Run, asked: Array) -> tuple[Array, Array]:
+    """The times that the run has reached, and its states there."""
     end = run.path.starts[-1]
     t = asked[asked <= end + 1e-12]
     if run.outcome is not Outcome.FINISHED and end > t[-1]:
         t = np.append(t, end)
     x = run.path.along(t)
     kept = np.isfinite(x).all(axis=1)
-    t, x, flow = _signals(run, t[kept], x[kept])
+    return t[kept], x[kept]
+
+
+def _gathered(run: Run, asked: Array) -> Simulation:
+    e = run.equations
+    t, x, flow = _signals(run, *_reached(run, asked))
     s = e.split(x)
     command = np.array(np.broadcast_to(value(flow.command), (len(t), e.n)))
     q = np.array(s["q"])
@@ -263,8 +297,8 @@ def _gathered(run: Run, asked: Array) -> Simulation:
     twist = value(e.plant.jacobian(np.ascontiguousarray(q), v))
     events = tuple(sorted(run.events, key=lambda event: event.time))
     return Simulation(
-        t, x, q, v, tau, command, np.array(value(flow.error)), twist, np.array(value(flow.F_tip)), events,
-        run.outcome, run.message, e.state_names, run.path, round(run.spent), external(e).outputs, run.arrived,
+        t, x, run.outcome, run.message, run.path, round(run.spent), run.arrived, q, v, tau, command, np.array(value(flow.error)), twist,
+        np.array(value(flow.F_tip)), events, e.state_names, external(e).outputs,
     )  # fmt: skip
 
 

@@ -19,23 +19,25 @@ from mfc_analysis.errors import MfcError, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.notebook import Shown
+from mfc_analysis.simulation.along import STEPS, Along
 from mfc_analysis.simulation.directions import LARGEST, MISFIT, Candidate, candidates, scaled_basis
-from mfc_analysis.simulation.orbit import TIGHT, transitions_along
+from mfc_analysis.simulation.orbit import TIGHT
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
 from mfc_analysis.simulation.run import Outcome, most_evaluations
-from mfc_analysis.simulation.simulation import Simulation, simulate, simulate_together
+from mfc_analysis.simulation.simulation import Motion, motion, simulate_together
 
 if TYPE_CHECKING:
     from mfc_analysis.plots.figure import Axes
 
-STEPS = 200
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
 WORK = 3.0  #: times the evaluations that one run may take, for all runs of a validation: about 15 s of work
 REGULAR, LEAST = 0.05, 1e-2  #: agreement of two slopes of a remainder below the solver's error, and the part of that error it exceeds
 CLOSE = 0.01  #: relative accuracy of the radius
-FIRST, LATER = (-6, 1), (-2, 2)  #: sizes below and above the one where a direction is to have its radius, run with it: the first is often too large
+APART = 0.03  #: relative distance of the sizes that are run together
+FIRST, LATER = (-2, 1), (-1, 1)  #: sizes below and above the one where a direction is to have its radius, run with it: the first is often too large
+SMOOTH = 0.5  #: difference from 1 of the power with which the misfit grows with the size, up to which no limit is reached between two sizes
 NEAR = 0.1  #: relative difference of two sizes up to which the misfit is in proportion
-LOOSE, LOOSEST = 5e-5, 1e-6  #: relative tolerance of the runs that give the radius, for each rad (m) of their disturbance, and its largest value
+LOOSE, LOOSEST = 5e-5, 1e-5  #: relative tolerance of the runs that give the radius, for each rad (m) of their disturbance, and its largest value
 
 Case = tuple[Array, float]  #: direction (nx,) and size of a disturbance
 Pair = tuple[Array, Array]  #: (N, n) joint deviations of the nonlinear run and of the linear model
@@ -87,16 +89,17 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     seed = checks.whole("seed", seed, 0, 2**64 - 1)
     x0 = on_reference(e, np.zeros(1)).x[0]
     t = _grid(e, time)
-    base = simulate(e, t, x0, method="LSODA", **TIGHT)
+    base = motion(e, t, x0, **TIGHT)
     if base.diverged:
         return _nothing(e, time, size, base.message, np.nan if base.outcome is Outcome.STOPPED else 0.0)
-    predicted, q = _predict(e, base, t), e.parts["q"].where
+    along, q = Along(e, base), e.parts["q"].where
+    predicted = _predict(along, t)
     if not np.isfinite(predicted).all():
         return _nothing(e, time, size, "the response of the linear model overflows")
     runs = _Disturbed(e, base, predicted[:, q], int(WORK * most_evaluations(e)))
 
     try:
-        tried = candidates(e, base, scaled_basis(e, predicted), seed)
+        tried = candidates(along, scaled_basis(e, predicted), seed)
         radius, direction = _worst(runs, tried, 1e-6 * size)
         largest = min(size, 0.25 * radius) if radius > 0 else size
         sizes = largest * np.array([1.0, 0.5, 0.25])
@@ -119,7 +122,7 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
 class _Disturbed:
     """Runs from disturbed starts, together where that is possible, and what the linear model predicts for them."""
 
-    def __init__(self, e: Equations, base: Simulation, predicted: Array, allowed: int) -> None:
+    def __init__(self, e: Equations, base: Motion, predicted: Array, allowed: int) -> None:
         self.e, self.base, self.predicted = e, base, predicted  #: predicted: (N, n, nx)
         self.allowed, self.left = allowed, max(allowed - float(base.evaluations), 1.0)  #: evaluations
         self.alone = any(s.one_sided for s in e.surfaces)  #: each run has its own contact
@@ -163,7 +166,7 @@ class _Disturbed:
 
     def _run(self, start: Array, options: dict[str, Any]) -> Array | str:
         try:
-            run = simulate(self.e, self.base.t, start, method="LSODA", max_evaluations=int(self.left), **options)
+            run = motion(self.e, self.base.t, start, max_evaluations=int(self.left), **options)
         except MfcError as why:
             return str(why)
         self._spend(run.evaluations, run.outcome)
@@ -196,15 +199,14 @@ def _grid(e: Equations, time: float) -> Array:
     return np.asarray(T * np.arange(max(round(time / T), least) + 1), float)
 
 
-def _predict(e: Equations, base: Simulation, t: Array) -> Array:
+def _predict(along: Along, t: Array) -> Array:
     """(N, nx, nx) the linear deviation along the base run, from every state at the start."""
-    every = np.eye(e.nx)
+    e, base, every = along.e, along.base, np.eye(along.e.nx)
     if e.sample_time:
-        at_rest = np.abs(base.x - base.x[0]).max() <= 1e-9 * (1 + np.abs(base.x[0]).max())
-        return sampled_at_rest(e, base, t, every) if at_rest else sampled_along(e, base, t, every)
+        return sampled_at_rest(e, base, t, every) if along.still else sampled_along(e, base, t, every)
     if e.delayed:
         return delayed(e, base, t, every)
-    return accumulated(transitions_along(e, base, t))
+    return accumulated(along.Phi)
 
 
 def _order(sizes: Array, remainders: Array, floor: Array) -> float:
@@ -249,7 +251,7 @@ def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least
     """Largest size with a misfit below ``MISFIT``, to ``CLOSE``; inf if it is up to ``LARGEST``, 0 if it is not even at ``least``.
 
     The misfit grows about in proportion to the size, so the next size tried is where it would be ``MISFIT``, once that is near with some more
-    about it. ``known``: size -> misfit.
+    about it. Between two sizes that are near, a power of the size near the first gives the radius; else it is halved. ``known``: size -> misfit.
     """
     tries = 0
     while True:
@@ -262,6 +264,11 @@ def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least
             return np.inf
         if high <= (1 + CLOSE) * low:
             return low
+        power = np.inf
+        if 0 < low < high < np.inf and 0 < known[low] < known[high]:
+            power = float(np.log(known[high] / known[low]) / np.log(high / low))
+        if high <= (1 + APART) ** 2 * low and abs(power - 1) < SMOOTH:
+            return float(low * (MISFIT * (1 - 0.1 * CLOSE) / known[low]) ** (1 / power))
         near = low if low and (high == np.inf or known[low] * known[high] > MISFIT**2) else high  # the nearer one
         change = float(np.clip(MISFIT / max(known[near], 1e-300), 0.25, 4.0))
         size = near * change
@@ -269,8 +276,8 @@ def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least
             size = min(max(size, (1 + CLOSE) * low), LARGEST)
         elif low == 0:
             size = max(min(size, (1 - CLOSE) * high), least)
-        elif tries % 3 and known[low] > 0 and known[high] < np.inf:  # where a power of the size between the two would have it
-            size = low * (high / low) ** float(np.log(MISFIT / known[low]) / np.log(known[high] / known[low]))
+        elif tries % 3 and power < np.inf:
+            size = float(low * (MISFIT / known[low]) ** (1 / power))
         else:
             size = float(np.sqrt(low * high))
         sizes = _about(size, LATER, low, high, least) if 0.5 < change < 2 else [size]
@@ -279,8 +286,8 @@ def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least
 
 
 def _about(size: float, among: tuple[int, int], low: float, high: float, least: float) -> list[float]:
-    """A size, and some below and above, closer than ``CLOSE``, that are between known ones and within the sizes that are tried."""
-    sizes = np.clip(size * (1 + 0.9 * CLOSE) ** np.arange(among[0], among[1] + 1), least, LARGEST)
+    """A size, and some below and above, that are between known ones and within the sizes that are tried."""
+    sizes = np.clip(size * (1 + APART) ** np.arange(among[0], among[1] + 1), least, LARGEST)
     return [float(s) for s in np.unique(sizes) if low < s < high]
 
 

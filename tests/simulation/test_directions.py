@@ -1,4 +1,4 @@
-"""The directions that the linear model predicts worst: the second-order response against runs, and the box of the disturbances."""
+"""The directions that the linear model predicts worst: the box of the disturbances, and the search in it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.simulation import directions
-from mfc_analysis.simulation.directions import MAXIMA, SAMPLES, SecondOrder, candidates, scaled_basis, second_order
-from mfc_analysis.simulation.orbit import TIGHT, transitions_along
+from mfc_analysis.simulation.along import Along
+from mfc_analysis.simulation.directions import MAXIMA, candidates, scaled_basis
+from mfc_analysis.simulation.orbit import TIGHT
 from mfc_analysis.simulation.response import FOLLOWED, STEPS, Follower, Response
-from mfc_analysis.simulation.simulation import Simulation
+from mfc_analysis.simulation.second_order import expansion
 from mfc_analysis.simulation.validation import misfit
 from mfc_analysis.trajectories import Hold
 from tests.conftest import arm, moving, plant, regular_pose
 
 
-def based(loop: ClosedLoop, time: float) -> tuple[Simulation, np.ndarray]:
-    """The run from the operating point, and the basis of its disturbances."""
+def based(loop: ClosedLoop, time: float) -> tuple[Along, np.ndarray]:
+    """The loop along the run from the operating point, and the basis of its disturbances."""
     e = loop.equations
-    base = loop.simulate(np.linspace(0, time, 201), x=on_reference(e, np.zeros(1)).x[0], **TIGHT)
-    return base, scaled_basis(e, accumulated(transitions_along(e, base, base.t)))
+    along = Along(e, loop.simulate(np.linspace(0, time, 201), x=on_reference(e, np.zeros(1)).x[0], **TIGHT))
+    return along, scaled_basis(e, accumulated(along.Phi))
 
 
 ROBOT = arm("ur5")
@@ -34,46 +35,6 @@ LOOPS = {
     "at rest": lambda: ClosedLoop(ROBOT, L.JointPID(300.0, 100.0, 50.0), Hold(regular_pose("ur5"))),
     "on a moving path": lambda: ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r")),
 }
-
-
-@pytest.mark.parametrize("name", LOOPS)
-def test_the_second_order_response_is_half_the_second_difference_of_runs(name: str) -> None:
-    loop, s = LOOPS[name](), 1e-3
-    base, basis = based(loop, 0.2)
-    found = second_order(loop.equations, base, basis)
-    assert isinstance(found, SecondOrder)
-    t = np.linspace(0, 0.2, SAMPLES + 1)
-    c = np.random.default_rng(0).uniform(-1, 1, basis.shape[1])
-    up, down, still = (loop.simulate(t, x=base.x[0] + sign * s * basis @ c, **TIGHT).q for sign in (1, -1, 0))
-    linear, square = (up - down) / (2 * s), (up + down - 2 * still) / (2 * s**2)
-    assert_allclose(found.first @ c, linear.ravel(), atol=2e-3 * np.abs(linear).max())  # A held over a hundredth of the run
-    assert_allclose(c @ found.second @ c, square.ravel(), atol=6e-2 * np.abs(square).max())  # the wrist's fast roots within a step
-    assert_allclose(found.ratios(c[None])[0], np.log(np.linalg.norm(square) / np.linalg.norm(linear)), atol=0.06)
-
-
-def test_a_maximum_stays_in_the_box_and_nothing_near_it_is_larger() -> None:
-    loop = LOOPS["at rest"]()
-    base, basis = based(loop, 0.2)
-    found = second_order(loop.equations, base, basis)
-    assert found is not None
-    k, rng = basis.shape[1], np.random.default_rng(1)
-    start = np.eye(k)[2]
-    reached, c = (x[0] for x in found.maxima(start[None], 6))
-    assert c[2] == 1.0 and np.abs(c).max() <= 1.0
-    near = np.clip(c + 0.3 * rng.normal(size=(200, k)), -1, 1)
-    near[:, 2] = 1.0
-    assert found.ratios(near).max() <= reached + 1e-9 and found.ratios(c[None])[0] == pytest.approx(reached)
-    assert reached > found.ratios(start[None])[0]
-
-
-def test_fewer_rows_give_the_same_misfits() -> None:
-    loop = LOOPS["at rest"]()
-    base, basis = based(loop, 0.2)
-    found = second_order(loop.equations, base, basis)
-    assert found is not None
-    few, c = found.turned(), np.random.default_rng(2).uniform(-1, 1, (50, basis.shape[1]))
-    assert len(few.second) < 0.5 * len(found.second)
-    assert_allclose(few.ratios(c), found.ratios(c), atol=1e-4)
 
 
 def test_the_basis_moves_a_joint_by_one_and_any_other_state_by_what_a_joint_error_makes_of_it() -> None:
@@ -91,8 +52,8 @@ def test_the_basis_moves_a_joint_by_one_and_any_other_state_by_what_a_joint_erro
 
 def test_candidates_lie_in_the_box_the_worst_first_with_both_signs() -> None:
     loop = LOOPS["at rest"]()
-    base, basis = based(loop, 0.2)
-    found = candidates(loop.equations, base, basis, 0)
+    along, basis = based(loop, 0.2)
+    found = candidates(along, basis, 0)
     assert found[0].reach <= min(c.reach for c in found)
     pairs = [(a, b) for a in found for b in found if a.reach == b.reach and np.allclose(a.direction, -b.direction)]
     assert len(pairs) == 2 * MAXIMA
@@ -102,22 +63,25 @@ def test_candidates_lie_in_the_box_the_worst_first_with_both_signs() -> None:
 
 
 def test_steps_become_shorter_where_most_starts_cannot_be_followed() -> None:
-    """From far off the response bends within a step that could follow it from near; the shorter steps agree with runs."""
+    """The wrist's fast roots lie within the longest steps; the shorter steps agree with runs."""
     loop = LOOPS["at rest"]()
-    base, basis = based(loop, 0.2)
+    along, basis = based(loop, 0.2)
     c = np.random.default_rng(3).uniform(-1, 1, (6, basis.shape[1]))
-    follower = Follower(loop.equations, base, 1e-3 * c @ basis.T)
-    first = follower.steps
-    near, far = (follower.misfits(size * (c @ basis.T)[:, None])[:, 0] for size in (1e-3, 0.5))
-    assert STEPS[0] < first < follower.steps
-    assert np.isfinite(near).all() and np.isfinite(far).mean() >= FOLLOWED
+    second = expansion(along, basis)
+    assert second is not None
+    follower = Follower(along, basis, second)
+    assert follower.steps == STEPS[0]
+    near, far = (follower.misfits(size * c[:, None])[:, 0] for size in (1e-3, 0.5))
+    assert STEPS[0] < follower.steps
+    assert np.isfinite(near).mean() >= FOLLOWED and np.isfinite(far).mean() >= FOLLOWED
     n = loop.robot.n
-    still = loop.simulate(base.t, x=base.x[0], **TIGHT).q
-    linear = accumulated(transitions_along(loop.equations, base, base.t))[:, :n]
-    for i in np.flatnonzero(np.isfinite(far)):
-        d = 0.5 * basis @ c[i]
-        moved = loop.simulate(base.t, x=base.x[0] + d, **TIGHT).q - still
-        assert far[i] == pytest.approx(misfit(moved, linear @ d), rel=0.1)
+    still = loop.simulate(along.t, x=along.base.x[0], **TIGHT).q
+    linear = accumulated(along.Phi)[:, :n]
+    for size, misfits in ((1e-3, near), (0.5, far)):
+        for i in np.flatnonzero(np.isfinite(misfits)):
+            d = size * basis @ c[i]
+            moved = loop.simulate(along.t, x=along.base.x[0] + d, **TIGHT).q - still
+            assert misfits[i] == pytest.approx(misfit(moved, linear @ d), abs=0.1 * np.nanmax(misfits))
 
 
 def test_where_the_second_order_gives_the_misfits_nothing_is_climbed_and_nothing_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,7 +89,7 @@ def test_where_the_second_order_gives_the_misfits_nothing_is_climbed_and_nothing
     robot = robots.load("kinova")
     loop = ClosedLoop(robot.with_payload(2.0), L.ComputedTorque(100, 100, 20), Hold([0.3, 2.6, 2.0, 1.1, 2.5, 0.9]), controller_model=robot)
     calls, misfits = [], Response.misfits
-    monkeypatch.setattr(Response, "misfits", lambda self, starts: calls.append(len(starts)) or misfits(self, starts))
+    monkeypatch.setattr(Response, "misfits", lambda self, starts, beyond: calls.append(len(starts)) or misfits(self, starts, beyond))
     found, number = loop.validate(0.05), len(calls)
     monkeypatch.setattr(directions, "SECOND", 0.0)
     searched = loop.validate(0.05)
@@ -137,7 +101,6 @@ def test_a_torque_limit_and_a_surface_that_can_be_left_give_their_own_candidates
     wall = Environment(1e3, 5.0, preload=5.0, one_sided=True)
     law, hold = L.DampedForcePI([0, 0, 5.0, 0, 0, 0], 1.0, None, 20.0), Hold([0.0])
     free, limited = (ClosedLoop(robots.slider(), law, hold, environment=wall, hardware=Hardware(torque_limit=limit)) for limit in (None, 20.0))
-    base, basis = based(limited, 0.2)
-    own, others = ([c.direction for c in candidates(loop.equations, base, basis, 0) if np.isinf(c.reach)] for loop in (limited, free))
+    own, others = ([c.direction for c in candidates(*based(loop, 0.2), 0) if np.isinf(c.reach)] for loop in (limited, free))
     assert len(own) == len(others) + 1
     assert own[-1][0] < 0 and own[-1][1] < 0  # away from the wall, fastest

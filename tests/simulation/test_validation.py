@@ -36,8 +36,8 @@ def test_the_remainder_shrinks_with_the_square_on_a_moving_path_with_a_wrong_mod
 def test_a_linearisation_wrong_by_a_tenth_of_a_percent_shows_as_first_order(monkeypatch):
     loop = mfc.ClosedLoop(UR5, mfc.laws.JointPID(400, 200, 60), mfc.trajectories.Hold(Q))
     assert abs(loop.validate(time=0.3, size=1e-4).taylor_order - 2.0) < 0.05
-    right = validation.transitions_along
-    monkeypatch.setattr(validation, "transitions_along", lambda *along: (1 + 1e-3 / 200) * right(*along))
+    right = validation.accumulated
+    monkeypatch.setattr(validation, "accumulated", lambda Phi: right((1 + 1e-3 / len(Phi)) * Phi))
     assert abs(loop.validate(time=0.3, size=1e-4).taylor_order - 1.0) < 0.2
 
 
