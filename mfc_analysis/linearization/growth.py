@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mfc_analysis.analysis.floquet import STEPS, TransientGrowth, accumulated, gauss_nodes, transient_growth as growth_of, transition_magnus
+from mfc_analysis.analysis.floquet import STEPS, TransientGrowth, accumulated, transient_growth as growth_of, transitions
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths.arrays import Array
 
@@ -14,7 +14,7 @@ from mfc_analysis.maths.arrays import Array
 def transient_growth(times: Array, dt: float, along: Callable[[Array], Array]) -> TransientGrowth:
     """Largest singular value of Phi(t, t_0) over times (m,) [s]; ``along`` gives A (k, nx, nx) at other times, of a loop sampled at ``dt`` or with 0.
 
-    The path is also linearised between the times (two Gauss nodes per step, steps no longer than the shortest given interval).
+    The path is also linearised between the times (steps no longer than the shortest given interval).
     Raises BadArgument for fewer than two times.
     """
     if len(times) < 2:
@@ -25,6 +25,4 @@ def transient_growth(times: Array, dt: float, along: Callable[[Array], Array]) -
         return growth_of(accumulated(along(samples[:-1])), samples)
     count = max(STEPS, min(int(np.ceil((times[-1] - times[0]) / np.diff(times).min() - 1e-9)), 4000))
     edges = np.linspace(times[0], times[-1], count + 1)
-    nodes = gauss_nodes(edges)
-    A = along(np.ravel(nodes))
-    return growth_of(accumulated(transition_magnus(A.reshape(*nodes.shape, *A.shape[1:]), np.diff(edges))), edges)
+    return growth_of(accumulated(transitions(along, edges)), edges)

@@ -11,7 +11,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
-from mfc_analysis.analysis.floquet import gauss_nodes, transition_magnus
+from mfc_analysis.analysis.floquet import transitions
 from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.maths.arrays import Array
@@ -44,16 +44,15 @@ class Along:
     @cached_property
     def still(self) -> bool:
         """True where the run is at rest."""
-        x = self.base.x
+        same = len(self.base.t) == len(self.t) and np.array_equal(self.base.t, self.t)
+        x = self.base.x if same else self.base.state(self.t)  # a periodic run ends where it began
         return bool(np.abs(x - x[0]).max() <= 1e-9 * (1 + np.abs(x[0]).max()))
 
     @cached_property
     def Phi(self) -> Array:
         """(STEPS, nx, nx) transition matrices of the steps."""
-        nodes = gauss_nodes(self.t[:2] if self.still else self.t)
-        A = self.A(np.ravel(nodes))
-        Phi = transition_magnus(A.reshape(*nodes.shape, *A.shape[1:]), float(self.t[1] - self.t[0]))
-        return np.broadcast_to(Phi, (STEPS, *A.shape[1:]))
+        Phi = transitions(self.A, self.t[:2] if self.still else self.t)
+        return np.broadcast_to(Phi, (STEPS, *Phi.shape[1:]))
 
     def steps(self, count: int) -> tuple[Array, Array]:
         """Phi and Gamma, (count, nx, nx) each, of x' = A(t) x + u in ``count`` steps, a divisor of ``STEPS``, with u held over each."""

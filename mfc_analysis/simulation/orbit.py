@@ -1,4 +1,4 @@
-"""Stability on a moving reference: transition matrices along a run, and Floquet multipliers on the periodic orbit."""
+"""Stability on a moving reference: Floquet multipliers on the periodic orbit."""
 
 from __future__ import annotations
 
@@ -6,38 +6,31 @@ from typing import Any
 
 import numpy as np
 
-from mfc_analysis.analysis.floquet import STEPS, Floquet, floquet as multipliers_of, gauss_nodes, period_map, shoot, transition_magnus
+from mfc_analysis.analysis.floquet import Floquet, floquet as multipliers_of, period_map, shoot
 from mfc_analysis.analysis.sampled import sampled
 from mfc_analysis.analysis.system import close_wires
 from mfc_analysis.dynamics.equations import Equations
-from mfc_analysis.dynamics.jacobians import closed_matrix, open_system
+from mfc_analysis.dynamics.jacobians import open_system
 from mfc_analysis.dynamics.operating_point import on_reference
 from mfc_analysis.errors import BadArgument, NotConverged, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
+from mfc_analysis.simulation.along import Along
 from mfc_analysis.simulation.run import Outcome, most_evaluations
 from mfc_analysis.simulation.simulation import Motion, motion
 
 TIGHT: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-12}
 SETTLE = 20  #: periods of the run from whose end a second search starts
 
-__all__ = ["Floquet", "floquet", "transitions_along"]
+__all__ = ["Floquet", "floquet"]
 
 
 class NotEnoughWork(NotConverged):
     """The limit on work ended the search."""
 
 
-def transitions_along(e: Equations, run: Motion, edges: Array) -> Array:
-    """(N, nx, nx) transition matrices of the linearised loop along a run, one for each step between the N + 1 ``edges`` [s]."""
-    nodes = gauss_nodes(edges)
-    flat = np.ravel(nodes)
-    A = closed_matrix(e, flat, run.state(flat))
-    return transition_magnus(A.reshape(*nodes.shape, *A.shape[1:]), np.diff(edges))
-
-
 def floquet(e: Equations, period: float | None = None, max_evaluations: int | None = None) -> Floquet:
-    """Floquet multipliers on the periodic orbit of the closed loop: Newton shooting, Phi by fourth-order Magnus steps.
+    """Floquet multipliers on the periodic orbit of the closed loop: Newton shooting, Phi along the run of a period.
 
     With a sample time the period must be a whole number of samples, and Phi is the product of the discrete steps. ``max_evaluations``
     of the equations over all runs of the search; None: about 10 s of work.
@@ -51,7 +44,6 @@ def floquet(e: Equations, period: float | None = None, max_evaluations: int | No
     if e.delayed:
         takes = "a sample_time with it: the period map of a continuous loop with dead time has infinite dimension"
         raise Unsupported("hardware.delay", max(e.delays.values()), takes)
-    edges = np.linspace(0.0, float(T), STEPS + 1)
     most = most_evaluations(e) if max_evaluations is None else checks.whole("max_evaluations", max_evaluations, 1, 10**12)
     runs: list[Motion] = []
 
@@ -69,7 +61,7 @@ def floquet(e: Equations, period: float | None = None, max_evaluations: int | No
 
     def advance(x: Array) -> tuple[Array, Array]:
         once = run(x, float(T))
-        return once.x[-1], period_map(transitions_along(e, once, edges))
+        return once.x[-1], period_map(Along(e, once).Phi)
 
     start = on_reference(e, np.zeros(1)).x[0]
     try:

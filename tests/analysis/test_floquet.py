@@ -18,6 +18,7 @@ from mfc_analysis.analysis.floquet import (
     shoot,
     transient_growth,
     transition_magnus,
+    transitions,
 )
 from mfc_analysis.errors import BadArgument, NotConverged
 
@@ -48,6 +49,26 @@ def test_the_error_falls_with_the_fourth_power_of_the_step() -> None:
     errors = [np.abs(period_map(steps(lambda t: expm(t * W) @ A0 @ expm(-t * W), 2.0, n)) - exact).max() for n in (20, 40, 80)]
     assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 4.0, atol=0.05)
     assert errors[-1] < 1e-6
+
+
+@pytest.mark.parametrize("fast", [-2.0, -1e2, -1e4, -1e6])
+def test_a_fast_root_along_a_turning_matrix_costs_no_accuracy(fast: float) -> None:
+    """A(t) = e^{Wt} A0 e^{-Wt} again, over a second in 50 steps. The Magnus series is wrong by 1e-3 and more where the root is fast."""
+    W, A0 = np.array([[0.0, -2.0], [2.0, 0.0]]), np.diag([-0.5, fast])
+
+    def A(t: np.ndarray) -> np.ndarray:
+        return np.array([expm(s * W) @ A0 @ expm(-s * W) for s in t])
+
+    exact, edges = expm(W) @ expm(A0 - W), np.linspace(0.0, 1.0, 51)
+    assert_allclose(period_map(transitions(A, edges)), exact, atol=3e-7)
+    magnus = np.abs(period_map(steps(lambda t: A(np.array([t]))[0], 1.0, 50)) - exact).max()
+    assert magnus < 3e-7 if fast > -10 else magnus > 1e-3
+
+
+def test_a_fast_root_of_a_constant_matrix_is_its_exponential() -> None:
+    A = np.array([[0.0, 1.0], [-1e8, -1e5]])
+    found = transitions(lambda t: np.broadcast_to(A, (len(t), 2, 2)), np.linspace(0.0, 1e-3, 3))
+    assert_allclose(found, np.broadcast_to(expm(5e-4 * A), (2, 2, 2)), rtol=1e-9)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 8, 13])

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mfc_analysis import laws as L, robots
+from mfc_analysis.analysis.floquet import transitions
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.dynamics.operating_point import on_reference
@@ -16,7 +17,7 @@ from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
 from mfc_analysis.simulation import along as module
 from mfc_analysis.simulation.along import STEPS, Along
-from mfc_analysis.simulation.orbit import TIGHT, transitions_along
+from mfc_analysis.simulation.orbit import TIGHT
 from mfc_analysis.simulation.simulation import motion
 from mfc_analysis.trajectories import Hold
 from tests.conftest import arm, moving, plant, regular_pose
@@ -42,7 +43,15 @@ def test_the_polynomial_gives_the_matrices_and_transitions_of_every_time(name: s
     found, t = along(LOOPS[name](), 0.4), np.linspace(0.0, 0.4, 33)
     exact = closed_matrix(found.e, t, found.base.state(t))
     assert_allclose(found.A(t), exact, atol=1e-8 * np.abs(exact).max())
-    assert_allclose(found.Phi, transitions_along(found.e, found.base, found.t), atol=1e-9)
+    assert_allclose(found.Phi, transitions(lambda t: closed_matrix(found.e, t, found.base.state(t)), found.t), atol=1e-9)
+
+
+def test_a_run_that_ends_where_it_began_is_not_at_rest() -> None:
+    """As that of a period is, of which two times are kept: a slider that swings, x = cos t."""
+    e = ClosedLoop(robots.slider(1.0), L.JointPID(1.0, None, None), Hold([0.0])).equations
+    swinging, standing = (Along(e, motion(e, [0.0, 2 * np.pi], np.array([x, 0.0]), **TIGHT)) for x in (1.0, 0.0))
+    assert_allclose(swinging.base.x[-1], swinging.base.x[0], atol=1e-9)
+    assert standing.still and not swinging.still
 
 
 def test_it_evaluates_few_points_on_a_smooth_run_and_one_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
