@@ -44,7 +44,7 @@ class Equilibrium(Shown):
     force: Array  #: (6,) F_tip, tool frame [N, Nm]
     torque: Array  #: (n,) commanded torque [Nm] (velocity [rad/s] for velocity laws)
     x: Array  #: (nx,) the full state
-    stable: bool  #: no root grows, dead time, sampling and slow roots left out; ``linearize(about="equilibrium")`` has the full verdict
+    stable: bool  #: no root grows, slow ones left out, dead time and sampling included
     notes: tuple[str, ...]  #: sentences
 
     def __str__(self) -> str:
@@ -153,12 +153,17 @@ class ClosedLoop:
 
         Raises NotConverged where none is found, Unsupported on a moving reference.
         """
-        from mfc_analysis.simulation.rest import at_rest
+        from mfc_analysis.simulation.rest import LEFT, at_rest
 
-        rest = at_rest(self.equations)
-        flow = self.equations.flow(0.0, rest.x[0])
+        e = self.equations
+        rest = at_rest(e)
+        flow = e.flow(0.0, rest.x[0])
         error, force, torque = (np.array(value(x)) for x in (flow.error, flow.F_tip, flow.command))
-        return Equilibrium(rest.x[0][: self.robot.n], error, force, torque, rest.x[0], rest.stable, rest.notes)
+        stable, notes = rest.stable, rest.notes
+        if stable and (e.delayed or e.sample_time):
+            stable = bool(self.linearize([0.0], about=rest.x, coordinates="state").stability.nonzero_stable[0])
+            notes = notes if stable else (*notes, LEFT)
+        return Equilibrium(rest.x[0][: self.robot.n], error, force, torque, rest.x[0], stable, notes)
 
     def quasi_static(self) -> QuasiStatic:
         """Equation 9.20's model of the same loop: g + J^T F_tip = tau. ``.force`` and ``.error`` = F_d - F_tip, each (6,) [N, Nm]."""

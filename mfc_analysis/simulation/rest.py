@@ -25,6 +25,7 @@ LONGEST = 200.0  #: [s] of the simulation
 SHARE = 5  #: the simulation takes a share of 1/5 of the evaluations that a run may take
 STILL = 1e-3  #: [rad/s, m/s] largest velocity at the end of a simulation that has come to rest
 CLOSE = 1e-2  #: [rad, m] largest distance of its end from the rest point that Newton makes of it
+LEFT = "unstable: the loop leaves it at the smallest disturbance"
 SAME = 1e-6  #: [rad, m] distance of two rest points that are one
 
 
@@ -57,7 +58,7 @@ def at_rest(e: Equations) -> Rest:
     if found is None or (near is not None and _apart(e, found, near) <= SAME):
         assert near is not None
         stable = _holds(e, near)
-        notes = () if stable else ("unstable: the loop leaves it at the smallest disturbance",)
+        notes = () if stable else (LEFT,)
         return Rest(near, stable, notes if found is not None else (*notes, said))
     others = "" if near is None else f"another rest point lies near the reference, at q = {_shown(e, near)}, {_word(_holds(e, near))}"
     return Rest(found, _holds(e, found), (said, others) if others else (said,))

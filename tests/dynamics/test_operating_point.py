@@ -12,7 +12,7 @@ from mfc_analysis.dynamics.environment import Environment
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.operating_point import rest_point, trimmed
 from mfc_analysis.errors import BadArgument, NotConverged, Unsupported
-from mfc_analysis.loop import ClosedLoop
+from mfc_analysis.loop import ClosedLoop, Equilibrium
 from mfc_analysis.maths.dual import value
 from mfc_analysis.trajectories import Hold, Quintic, Sinusoid, ToolHold
 from tests.conftest import LAWS, Case, arm, loop_of, moving, named, plant, regular_pose, surfaces
@@ -150,6 +150,23 @@ def test_where_nothing_holds_the_arm_there_is_no_rest_point() -> None:
     assert info.value.argument == "about"
     with pytest.raises(Unsupported):
         ClosedLoop(robots.single_joint(), L.JointPID(3.0), Quintic([0.0], [1.0])).linearize([0.0], about="equilibrium")
+
+
+@pytest.mark.parametrize("part", [0.95, 1.05])
+def test_dead_time_and_sampling_count_in_whether_a_rest_point_is_stable(part: float) -> None:
+    """A slider of 1 kg under kp = 100, kd = 2 swings at the dead time of its delay margin. With its force held over a sample time T the
+    determinant of a step is 1 - kd T + kp T^2 / 2: 1 at T = 2 kd / kp."""
+
+    def rest(**hardware: float) -> Equilibrium:
+        return ClosedLoop(robots.slider(1.0), L.JointPID(100.0, None, 2.0), Hold([0.0]), hardware=Hardware(**hardware)).equilibrium()
+
+    assert rest().stable
+    w = np.sqrt(2 + np.sqrt(4 + 1e4))  # |2 j w + 100| = w^2
+    late = rest(delay=part * np.arctan(w / 50) / w)
+    sampled = rest(sample_time=part * 2 * 2.0 / 100.0)
+    for found in (late, sampled):
+        assert found.stable == (part < 1) and str(found).startswith("equilibrium, stable") == (part < 1)
+        assert any("unstable" in note for note in found.notes) == (part > 1)
 
 
 def test_a_rest_point_found_by_hand_is_the_loops() -> None:
