@@ -29,7 +29,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -430,7 +430,8 @@ class Equations:
             raise at_time(why, t) from None
         if x.ndim > 1:
             return self.state_rates(rates, x.shape[:-1])
-        out, plain = np.empty(x.shape), cast(Mapping[str, Array], rates)
+        out: Array = np.empty(x.shape)
+        plain: dict[str, Any] = rates
         for name, where in self._where:
             out[where] = plain[name]
         return out

@@ -89,9 +89,11 @@ def chain(out: Array, *partials: tuple[Callable[[], Array], Vector]) -> Array | 
     Each partial is a function without arguments, so that it is not computed where its argument is plain.
     """
     tangent: Array | None = None
-    seeds = [(partial, argument) for partial, argument in partials if isinstance(argument, Seed)]
+    seeds: list[tuple[Callable[[], Array], Seed]] = []
     for partial, argument in partials:
-        if isinstance(argument, Dual) and not isinstance(argument, Seed):
+        if isinstance(argument, Seed):
+            seeds.append((partial, argument))
+        elif isinstance(argument, Dual):
             part = product(partial(), argument.tangent)
             tangent = part if tangent is None else tangent + part
     for partial, seed in seeds:

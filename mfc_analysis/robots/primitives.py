@@ -80,7 +80,7 @@ class Primitives:
         if self._single(q, v, a):
             return np.array(pin.rnea(self._model, self._data, q, v, a))
         qs, vs, accelerations = value(q), value(v), value(a)
-        if not any(isinstance(x, Dual) for x in (q, v, a)):
+        if not (isinstance(q, Dual) or isinstance(v, Dual) or isinstance(a, Dual)):
             return self._each(pin.rnea, qs, vs, accelerations)
         if not isinstance(q, Dual) and not isinstance(v, Dual):
             M = self.at(qs).M
@@ -103,7 +103,7 @@ class Primitives:
         if self._single(q, v, tau):
             return np.array(pin.aba(self._model, self._data, q, v, tau))
         qs, vs, taus = value(q), value(v), value(tau)
-        if not any(isinstance(x, Dual) for x in (q, v, tau)):
+        if not (isinstance(q, Dual) or isinstance(v, Dual) or isinstance(tau, Dual)):
             return self._each(pin.aba, qs, vs, taus)
         data = self._data
         views = (data.ddq, data.ddq_dq, data.ddq_dv, data.Minv)

@@ -190,9 +190,8 @@ def _run_to_end(
     run = Run(e, _disturbance(disturbance, e.n), options, DenseOutput(float(asked[0]), x0), [], float(asked[-1]), most)
     if run.farthest(x0) > FAR:
         raise BadArgument("the start", run.farthest(x0), f"positions and velocities up to {FAR:g}")
-    start = e.flow(
-        float(asked[0]), x0, None, run.inputs(float(asked[0])), lose_contact=True
-    )  # a start that cannot be evaluated raises here; it is not an outcome
+    # a start that cannot be evaluated raises here; it is not an outcome
+    start = e.flow(float(asked[0]), x0, None, run.inputs(float(asked[0])), lose_contact=True)
     with np.errstate(over="ignore"):
         bounded(value(e.join(start.rates)))
     if len(asked) > 1:
@@ -218,7 +217,9 @@ def _run(run: Run, asked: Array, x0: Array) -> None:
 
 
 def _run_continuous(run: Run, asked: Array, x0: Array) -> None:
-    run.integrate(run.rates, float(asked[0]), float(asked[-1]), x0, _jacobian(run) if run.count is None else _jacobian_of_many(run, run.count))
+    rates = run.equations.rates if run.count is None and run.disturbance is None and run.touching is None else run.rates
+    jac = _jacobian(run) if run.count is None else _jacobian_of_many(run, run.count)
+    run.integrate(rates, float(asked[0]), float(asked[-1]), x0, jac)
 
 
 def _jacobian(run: Run) -> Callable[[float, Array], Array]:
