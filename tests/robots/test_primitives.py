@@ -122,13 +122,6 @@ def test_the_pose_moves_with_the_body_twist_and_the_twist_with_its_rate(name: st
     assert_allclose((P.jacobian(q + h * v, v) - P.jacobian(q - h * v, v)) / (2 * h), P.jacobian_dot(q, v), atol=1e-6)
 
 
-def test_a_reordered_robot_is_the_same_robot() -> None:
-    P, same = Primitives(REORDERED), Primitives(arm("ur5"))
-    q, v, a, f = point("reordered")
-    assert_allclose(P.rnea(q, v, a)[:, ::-1], same.rnea(q[:, ::-1], v[:, ::-1], a[:, ::-1]), atol=1e-12)
-    assert_allclose(P.jacobian_transpose(q, f)[:, ::-1], same.jacobian_transpose(q[:, ::-1], f), atol=1e-12)
-
-
 def test_a_continuous_joint_lives_in_its_covering_angle() -> None:
     P = Primitives(TURNING)
     q = np.array([0.4, 0.3])
@@ -157,30 +150,6 @@ def test_the_task_inertia_takes_another_mass_matrix_and_damping() -> None:
         assert_allclose(P.task_mass(q, x, 0.1, given), np.linalg.solve(damped, x), atol=1e-10)
     # with a mass matrix that is a multiple of 1 it is the damped inverse of J
     assert_allclose(J.T @ P.task_mass(q, x, 0.1, 3.0 * np.eye(7)), 3.0 * P.solve_jacobian(q, x, 0.1), atol=1e-10)
-
-
-def test_batches_of_any_shape_are_points_one_by_one() -> None:
-    P, rng = Primitives(plant("kinova")), np.random.default_rng(5)
-    q, v, a = rng.uniform(-1, 1, (3, 2, 4, 6))
-    found = P.aba(q, v, a)
-    assert found.shape == (2, 4, 6)
-    assert_allclose(found[1, 2], P.aba(q[1, 2], v[1, 2], a[1, 2]), atol=1e-12)
-    spread = P.rnea(q[0, 0], v[0], a[0])  # one pose, several velocities
-    assert_allclose(spread[3], P.rnea(q[0, 0], v[0, 3], a[0, 3]), atol=1e-12)
-
-
-def test_what_was_returned_stays_when_the_next_point_is_evaluated() -> None:
-    """Pinocchio's arrays are views of its Data."""
-    P = Primitives(arm("ur5"))
-    q, v, a, _ = point("ur5")
-    first = P.rnea(Dual(q, np.ones((2, 6, 1))), v, a)
-    kept = first.value.copy(), first.tangent.copy(), P.at(q).J.copy()
-    at = P.at(q)
-    P.rnea(Dual(q + 1, np.ones((2, 6, 1))), v, a)
-    P.jacobian(q + 1, v)
-    assert_allclose(first.value, kept[0])
-    assert_allclose(first.tangent, kept[1])
-    assert_allclose(at.J, kept[2])
 
 
 def test_a_singular_jacobian_is_told_refused_and_yields_to_damping() -> None:
@@ -228,42 +197,3 @@ def test_one_point_gives_what_a_batch_gives(name: str, which: str) -> None:
         return
     single = [call(q[i], v[i], a[i], f[i]) for i in range(3)]
     assert_allclose(np.stack(single), batch, rtol=1e-9, atol=1e-12 * np.abs(batch).max())
-
-
-def test_a_result_is_kept_when_the_next_call_overwrites_the_data_of_pinocchio() -> None:
-    P, rng = Primitives(arm("ur5")), seed("kept")
-    q, v, a = rng.normal(size=(3, 6))
-    for call in (P.rnea, P.aba, lambda q, v, a: P.jacobian_dot(q, v), lambda q, v, a: P.at(q).M):
-        first = call(q, v, a)
-        copy = np.array(first)
-        call(q + 1.0, v + 1.0, a)
-        assert np.array_equal(first, copy)
-
-
-@pytest.mark.parametrize(("angle", "refused"), [(5e-6, False), (4e-6, True), (0.0, True)])
-def test_a_jacobian_is_refused_by_its_condition_number_even_where_its_inverse_exists(angle: float, refused: bool) -> None:
-    """UR5 with the fifth joint near 0, where the fourth and the sixth axis are parallel."""
-    P, q = Primitives(arm("ur5")), np.array([0.3, -1.2, 1.5, -0.8, angle, 0.3])
-    condition = np.linalg.cond(P.at(q).J)
-    assert (condition > 1e6) == refused
-    for at in (P.at(q), P.at(q[None])):
-        if refused:
-            with pytest.raises(NearSingular) as why:
-                at.check_regular()
-            assert why.value.condition > 1e6
-        else:
-            at.check_regular()
-
-
-@pytest.mark.parametrize("name", ["ur5", "panda", "continuous", "branched"])
-def test_kinematics_are_shared_with_a_robot_that_moves_alike_and_with_no_other(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = EVERY[name]
-    loaded = Primitives(robot.with_payload(1.5))
-    shared, alone = Primitives(robot, loaded), Primitives(robot)
-    q = seed(name, "shared").normal(size=(3, robot.n))
-    assert shared.at(q).J is loaded.at(q).J and alone.at(q).J is not loaded.at(q).J
-    for one in ("J", "R", "p", "M"):
-        assert_allclose(getattr(shared.at(q), one), getattr(alone.at(q), one), atol=1e-14)
-    assert not np.allclose(shared.at(q).M, loaded.at(q).M)
-    other = Primitives(plant("ur10" if name == "ur5" else "ur5"))
-    assert_allclose(Primitives(robot, other).at(q).J, alone.at(q).J, atol=1e-14)
