@@ -21,7 +21,8 @@ from mfc_analysis.analysis.stability import growth
 from mfc_analysis.design.limits import with_stiffness
 from mfc_analysis.design.sweeps import evaluated
 from mfc_analysis.dynamics.environment import STIFFEST
-from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, solve_command_for_slots
+from mfc_analysis.dynamics.equations import Equations, solve_command_for_slots
+from mfc_analysis.dynamics.flow import Inputs, Wires
 from mfc_analysis.dynamics.start_state import start_state
 from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.loop import ClosedLoop

@@ -36,6 +36,7 @@ import numpy as np
 from mfc_analysis.dynamics.actuators import ACTUATOR_SLOTS, Actuators
 from mfc_analysis.dynamics.coded import difference, summed
 from mfc_analysis.dynamics.environment import Contact, Environment, LoseContact, contact
+from mfc_analysis.dynamics.flow import NO_INPUTS, Flow, Inputs, Wires, uncut
 from mfc_analysis.dynamics.hardware import Hardware, JointHardware
 from mfc_analysis.errors import MfcWarning, NearPi, NearSingular, NotConverged
 from mfc_analysis.laws.law import WRENCH, Action, JointReference, Law, Measured, Slot, Tap, ToolReference
@@ -69,55 +70,11 @@ def at_time(why: NearSingular | NearPi | np.linalg.LinAlgError, t: float | Array
     return why.at(float(times[why.index]) if why.index < times.size else None)
 
 
-class Wires:
-    """The wires of the loop. Without inputs no wire is cut. A cut wire records its signal and passes the given input on."""
-
-    def __init__(self, inputs: Mapping[str, Vector] | None = None) -> None:
-        self.inputs = dict(inputs or {})
-        self.recorded: dict[str, Vector] = {}
-
-    def __call__(self, name: str, signal: Vector) -> Vector:
-        self.recorded[name] = signal
-        return self.inputs.get(name, signal)
-
-    def cuts(self, name: str) -> bool:
-        """True if this wire is cut."""
-        return name in self.inputs
-
-
-def uncut(name: str, signal: Vector) -> Vector:
-    """A wire that is not cut and records nothing."""
-    return signal
-
-
-@dataclass(frozen=True, eq=False)
-class Flow:
-    """The loop at a state: its rates and signals. Plain (..., k) or dual."""
-
-    rates: Mapping[str, Vector]  #: slot -> rate
-    error: Vector  #: e (..., n) or X_e (..., 6), (..., k) of k selected directions
-    command: Vector  #: commanded torque or velocity (..., n)
-    F_tip: Vector  #: (..., 6)
-    contact: Contact
-
-
 class Part(NamedTuple):
     """Position of a slot in the state."""
 
     where: slice
     slot: Slot
-
-
-@dataclass(frozen=True, eq=False)
-class Inputs:
-    """External inputs of an evaluation: reference shift, disturbance at the joints, F_d. Zero unless given."""
-
-    reference: Vector | None = None  #: (..., n) added to q_d, or a body twist (..., 6) moving X_d
-    disturbance: Vector | None = None  #: (..., n) [Nm], or [rad/s] on velocity plants
-    F_d: Vector | None = None  #: (..., 6) replaces the F_d of the law
-
-
-NO_INPUTS = Inputs()
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,8 @@ import numpy as np
 
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.dynamics.environment import LoseContact
-from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, Wires, reference_channels, reference_moves
+from mfc_analysis.dynamics.equations import Equations, reference_channels, reference_moves
+from mfc_analysis.dynamics.flow import Flow, Inputs, Wires
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import WRENCH, ToolReference
 from mfc_analysis.maths.arrays import Array

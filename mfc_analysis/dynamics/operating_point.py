@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, solve_command_for_slots, timed
+from mfc_analysis.dynamics.equations import Equations, solve_command_for_slots, timed
+from mfc_analysis.dynamics.flow import Inputs, Wires
 from mfc_analysis.errors import MfcWarning, NotConverged
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, value

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.dynamics.equations import Equations, Inputs, Wires
+from mfc_analysis.dynamics.equations import Equations
+from mfc_analysis.dynamics.flow import Inputs, Wires
 from mfc_analysis.dynamics.jacobians import closed_system, external
 from mfc_analysis.dynamics.operating_point import nominal
 from mfc_analysis.errors import BadArgument, Unsupported

@@ -10,7 +10,8 @@ from itertools import combinations_with_replacement, pairwise
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from mfc_analysis.dynamics.equations import Inputs, Wires, timed
+from mfc_analysis.dynamics.equations import timed
+from mfc_analysis.dynamics.flow import Inputs, Wires
 from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.dual import Vector, value

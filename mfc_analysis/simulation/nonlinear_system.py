@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mfc_analysis.analysis.system import signals
-from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, reference_channels, reference_moves
+from mfc_analysis.dynamics.equations import Equations, reference_channels, reference_moves
+from mfc_analysis.dynamics.flow import Inputs, Wires
 from mfc_analysis.dynamics.jacobians import external
 from mfc_analysis.errors import MfcWarning, Unsupported
 from mfc_analysis.maths.arrays import Array

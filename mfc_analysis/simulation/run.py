@@ -15,7 +15,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root_scalar
 
 from mfc_analysis.dynamics.environment import LoseContact
-from mfc_analysis.dynamics.equations import NO_WRENCH, Equations, Inputs, Wires
+from mfc_analysis.dynamics.equations import NO_WRENCH, Equations
+from mfc_analysis.dynamics.flow import Inputs, Wires
 from mfc_analysis.errors import BadArgument, MfcError
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import value

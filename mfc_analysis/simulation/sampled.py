@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mfc_analysis.analysis.sampled import own_step
-from mfc_analysis.dynamics.equations import Equations, Inputs, Wires, timed
+from mfc_analysis.dynamics.equations import Equations, timed
+from mfc_analysis.dynamics.flow import Inputs, Wires
 from mfc_analysis.errors import MfcError
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, times, value

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.dynamics.equations import Equations, Flow, Inputs, warn_near_singular
+from mfc_analysis.dynamics.equations import Equations, warn_near_singular
+from mfc_analysis.dynamics.flow import Flow, Inputs
 from mfc_analysis.dynamics.jacobians import closed_matrix, external, matrix_at
 from mfc_analysis.dynamics.operating_point import OperatingPoint
 from mfc_analysis.errors import BadArgument, MfcError, UnknownName, Unsupported

@@ -11,7 +11,7 @@ from scipy.special import lambertw
 
 from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
-from mfc_analysis.dynamics.equations import NO_INPUTS, uncut
+from mfc_analysis.dynamics.flow import NO_INPUTS, uncut
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import Measured

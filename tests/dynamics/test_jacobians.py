@@ -142,7 +142,7 @@ def fits_error(case: Case, loop: ClosedLoop) -> bool:
 @pytest.mark.parametrize("case", named("9.4", "9.5 no_adjoint", "9.8", "9.16 printed", "9.24 dynamic standard"), ids=str)
 def test_external_inputs_and_outputs_are_differentiated_as_well(case: Case) -> None:
     """B and D against differences of the equations in the disturbance and F_d, C against differences in the state."""
-    from mfc_analysis.dynamics.equations import Inputs
+    from mfc_analysis.dynamics.flow import Inputs
     from mfc_analysis.maths.dual import value
 
     loop = loop_of(case, "ur5", contact=True)
