@@ -114,79 +114,91 @@ class Late:
 def run_with_dead_time(run: Run, asked: Array, x0: Array) -> None:
     """Method of steps on ``segments``: every signal that arrives in a segment was sent in an earlier one, and has no kink within it.
 
-    A touch or a lift ends a segment too, and so do its echoes: the force jumps there. Where the commands arrive late, nothing of the law acts
-    on the plant within a segment. The solver then sees the plant alone, and the law is evaluated at the nodes of the segment: for the record of
-    its commands, and for its own states, which are the integrals of their rates there.
+    A touch or a lift ends a segment too, and so do its echoes: the force jumps there.
     """
-    e = run.equations
-    delays = e.delays
     start, end = float(asked[0]), float(asked[-1])
-    first, wires = run.states(x0), Wires()
-    sizes, lead = e.wire_sizes(), first.shape[:-1]
-    e.flow(start, first, wires, run.inputs(start), lose_contact=run.lose_contact)
-    history = {name: History(start, np.array(np.broadcast_to(value(wires.recorded[name]), (*lead, sizes[name])))) for name in delays}
-    own = np.setdiff1d(np.arange(e.nx), np.array(e.plant_states, int))
-    apart = e.actuator in delays and float(np.abs(own_matrix(e, start, first)).sum(axis=-1).max(initial=0.0)) * min(delays.values()) < COUPLED
-
-    middle = start  # of the segment under way
-
-    def arriving(t: float) -> dict[str, Vector]:
-        return {name: history[name].at(t - d, middle - t) for name, d in delays.items()}
-
-    if e.actuator in delays:
-        run.arrived = Late(history[e.actuator], delays[e.actuator])
-
-    def rates(t: float, x: Array) -> Array:
-        if apart:
-            return run.plant_rates(t, x, history[e.actuator].at(t - delays[e.actuator], middle - t))
-        return run.rates(t, x, Wires(arriving(t)))
-
-    def record(begin: float, stop: float, x: Array) -> Array:
-        run.spent += RECORDING * run.weight
-        length = stop - begin
-        t = begin + NODES * length
-        each = t if not lead else np.repeat(t[:, None], lead[0], axis=1)
-        states = run.path.pieces[-1](t).T.reshape(len(t), *first.shape)
-        late = {name: history[name].along(t - d, begin + 0.5 * length - t) for name, d in delays.items()}
-        try:
-            repeated, recorded = 0, Wires(late)
-            while True:
-                with timed(each):
-                    s = e.split(states)
-                    action, changes = e.control(each, s, e.touch(s, lose_contact=run.lose_contact).wrench, recorded, Inputs())
-                if not apart or not own.size:
-                    break
-                before = states[..., own]
-                found = before[:1] + length * combined(INTEGRALS, e.state_rates(changes, states.shape[:-1])[..., own])
-                states[..., own] = found
-                if np.abs(found - before).max() <= AGREED * (run.options["atol"] + run.options["rtol"] * np.abs(found).max()):
-                    break
-                repeated += 1
-                if repeated == REPEATED:
-                    run.stop(Outcome.SOLVER, begin, "the states of the law do not converge within the dead time")
-                    break
-        except MfcError as why:
-            run.refuse(stop, why)
-            return x
-        recorded.recorded[e.actuator] = action.command
-        for name in delays:
-            history[name].add(begin, length, np.array(np.broadcast_to(value(recorded.recorded[name]), (len(t), *lead, sizes[name]))))
-        if apart and own.size:
-            run.path.pieces[-1] = WithOwn(e.nx, run.path.pieces[-1], begin, length, own, states[..., own])
-            run.states(x)[..., own] = states[-1][..., own]
-        return x
-
-    x, late, least = x0, echoes(list(delays.values())), min(delays.values())
+    late = _LateSignals(run, start, x0)
+    delays = list(run.equations.delays.values())
+    x, after, least = x0, echoes(delays), min(delays)
     marks: list[float] = []  #: [s] echoes of touch and lift that are still to come
-    for begin, stop in segments(start, end, list(delays.values())):
+    for begin, stop in segments(start, end, delays):
         marks = [mark for mark in marks if mark > begin]
         for a, b in pairwise(edges(begin, stop, marks, least)):
-            middle, known = 0.5 * (a + b), len(run.events)
-            reached = run.integrate(rates, a, b, x, short=True, cost=HELD if apart else 1.0, record=record)
+            late.middle, known = 0.5 * (a + b), len(run.events)
+            reached = run.integrate(late.rates, a, b, x, short=True, cost=HELD if late.apart else 1.0, record=late.record)
             if reached is None:
                 return
             x = reached
-            marks += [event.time + echo for event in run.events[known:] for echo in late]
+            marks += [event.time + echo for event in run.events[known:] for echo in after]
+
+
+class _LateSignals:
+    """The signals of a run that arrive late, recorded segment by segment.
+
+    Where the commands arrive late, nothing of the law acts on the plant within a segment. The solver then sees the plant alone, and the law is
+    evaluated at the nodes of the segment: for the record of its commands, and for its own states, which are the integrals of their rates there.
+    """
+
+    def __init__(self, run: Run, start: float, x0: Array) -> None:
+        e, first, wires = run.equations, run.states(x0), Wires()
+        e.flow(start, first, wires, run.inputs(start), lose_contact=run.lose_contact)
+        self.run, self.delays = run, e.delays
+        self.middle = start  #: [s] of the segment under way
+        self.shapes = {name: (*first.shape[:-1], e.wire_sizes()[name]) for name in self.delays}
+        self.history = {name: History(start, np.array(np.broadcast_to(value(wires.recorded[name]), shape))) for name, shape in self.shapes.items()}
+        self.own = np.setdiff1d(np.arange(e.nx), np.array(e.plant_states, int))
+        least = min(self.delays.values())
+        self.apart = e.actuator in self.delays and float(np.abs(own_matrix(e, start, first)).sum(axis=-1).max(initial=0.0)) * least < COUPLED
+        if e.actuator in self.delays:
+            run.arrived = Late(self.history[e.actuator], self.delays[e.actuator])
+
+    def rates(self, t: float, x: Array) -> Array:
+        """For the solver, within the segment under way."""
+        if self.apart:
+            return self.run.plant_rates(t, x, self._arriving(self.run.equations.actuator, t))
+        return self.run.rates(t, x, Wires({name: self._arriving(name, t) for name in self.delays}))
+
+    def _arriving(self, name: str, t: float) -> Array:
+        return self.history[name].at(t - self.delays[name], self.middle - t)
+
+    def record(self, begin: float, stop: float, x: Array) -> Array:
+        """Records the last piece of the run, from ``begin`` to ``stop`` [s], that ends at x. Returns its last state."""
+        run, length = self.run, stop - begin
+        run.spent += RECORDING * run.weight
+        t = begin + NODES * length
+        states = run.path.pieces[-1](t).T.reshape(len(t), *run.states(x).shape)
+        wires = Wires({name: self.history[name].along(t - delay, begin + 0.5 * length - t) for name, delay in self.delays.items()})
+        try:
+            command = self._settled(t, states, wires, length)
+        except MfcError as why:
+            run.refuse(stop, why)
+            return x
+        wires.recorded[run.equations.actuator] = command
+        for name, shape in self.shapes.items():
+            self.history[name].add(begin, length, np.array(np.broadcast_to(value(wires.recorded[name]), (len(t), *shape))))
+        if self.apart and self.own.size:
+            run.path.pieces[-1] = WithOwn(run.equations.nx, run.path.pieces[-1], begin, length, self.own, states[..., self.own])
+            run.states(x)[..., self.own] = states[-1][..., self.own]
+        return x
+
+    def _settled(self, t: Array, states: Array, wires: Wires, length: float) -> Vector:
+        """The command at the nodes t; where the plant is apart the law's own part of ``states`` there becomes the integral of its rates."""
+        run, e = self.run, self.run.equations
+        each = t if states.ndim == 2 else np.repeat(t[:, None], states.shape[1], axis=1)
+        for repeated in range(1, REPEATED + 1):
+            with timed(each):
+                s = e.split(states)
+                action, changes = e.control(each, s, e.touch(s, lose_contact=run.lose_contact).wrench, wires, Inputs())
+            if not self.apart or not self.own.size:
+                break
+            before = states[..., self.own]
+            found = before[:1] + length * combined(INTEGRALS, e.state_rates(changes, states.shape[:-1])[..., self.own])
+            states[..., self.own] = found
+            if np.abs(found - before).max() <= AGREED * (run.options["atol"] + run.options["rtol"] * np.abs(found).max()):
+                break
+            if repeated == REPEATED:
+                run.stop(Outcome.SOLVER, float(t[0]), "the states of the law do not converge within the dead time")
+        return action.command
 
 
 def segments(start: float, end: float, delays: list[float]) -> Iterator[tuple[float, float]]:
