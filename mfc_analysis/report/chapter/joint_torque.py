@@ -14,10 +14,9 @@ from mfc_analysis.maths.arrays import Array
 from mfc_analysis.plots.figure import without_affixes
 from mfc_analysis.report.chapter.arms import PAYLOAD, Arm, Designs, arms, decibels, per_joint, triple_pole
 from mfc_analysis.report.chapter.coupling import coupling_figures, coupling_numbers, coupling_table, coupling_words, price
-from mfc_analysis.report.chapter.force import tiny
+from mfc_analysis.report.chapter.feedforward import open_loop
 from mfc_analysis.report.chapter.pages import loop_page
 from mfc_analysis.report.chapter.pieces import at_most
-from mfc_analysis.report.chapter.velocity import ERROR_OF_RUNS
 from mfc_analysis.report.document.document import (
     Block,
     Cell,
@@ -37,7 +36,6 @@ from mfc_analysis.report.loops import blocks
 from mfc_analysis.report.loops.view import View
 from mfc_analysis.trajectories.joint import Hold
 
-OFFSET, LONG = 0.05, 3.0  #: [rad] initial error; [s] of an open-loop run: the path, then rest at its end
 SIDES = (0.9, 1.1)  #: fractions of the lower gain limit that are simulated
 
 
@@ -112,83 +110,6 @@ def limit_of_ki(view: View) -> Block:
         Fact("At 0.99 and 1.01 times the limit", f"{'stable' if found[0] else 'unstable'}, {'stable' if found[1] else 'unstable'}", "from the poles"),
     )
     return KeyFacts(facts)
-
-
-# --- 9.9 -------------------------------------------------------------------------------------------------------------------
-
-
-def open_loop(designs: Designs, full: bool = True) -> Section:
-    """9.9: feedforward only; the poles are those of the plant."""
-    pages, rows = [], []
-    for arm in arms():
-        view = designs.view("9.9", arm)
-        t = np.linspace(0.0, LONG, 101)
-        on = view.loop.simulate(t)
-        off = view.loop.simulate(t, initial_error=OFFSET)
-        real = view.evidence.spectrum.rates.real
-        right = float(real.max())
-        grown = float(np.abs(off.error).max())
-        own = float(np.abs(on.error).max())
-        rows.append(
-            (
-                arm.name,
-                Number(right),
-                Number(float(np.log(2) / right) if right > 1e-9 else np.inf, infinite="–"),
-                Number(tiny(own, ERROR_OF_RUNS)),
-                Number(grown),
-                Number(grown / OFFSET),
-            )
-        )
-        figure = Figure(
-            partial(
-                plots.traces,
-                off.t,
-                (plots.Panel("error [rad]", off.error, beside=on.error[: len(off.t)]),),
-                arm.robot.joint_names,
-                said=("initial error 0.05 rad", "no initial error"),
-            ),
-            f"Open loop: with an initial error of {written(OFFSET, exact=True)} rad the error reaches {written(grown)} rad, without it"
-            f" {written(tiny(own, ERROR_OF_RUNS))} rad.",
-            f"Errors of {view.name}: up to {written(grown)} rad.",
-        )
-        said = (
-            f"The poles are those of the arm, the rightmost at {written(right)} 1/s. With an initial error of {written(OFFSET, exact=True)} "
-            f"rad the largest error in {written(LONG, exact=True)} s is {written(grown)} rad"
-            + (
-                "."
-                if arm.exact
-                else (f"; with an unknown payload of {written(PAYLOAD, exact=True)} kg it reaches {written(own)} rad even without an initial error.")
-            )
-        )
-        pages.append(
-            loop_page(
-                view,
-                arm.name,
-                shown="open loop",
-                frequency=False,
-                compare=False,
-                finding=said,
-                after=(figure,) if full or arm is arms()[1] else (),
-                origins=designs.origins("9.9", arm),
-                more={"rightmost": right, "error_off_path": grown, "error_on_path": own},
-            )
-        )
-    columns = (
-        Column("Arm", numeric=False),
-        Column("Rightmost pole", "1/s"),
-        Column("Doubling time", "s"),
-        Column("Error, no initial error", "rad"),
-        Column("Error from 0.05 rad", "rad"),
-        Column("Growth", "times"),
-    )
-    table = Table(f"Feedforward only, {LONG:g} s: along the path, then at rest at its end.", columns, tuple(rows))
-    equation = Equation(designs.law("9.9", arms()[0]).typst, "feedforward torque", "9.9")
-    finding = "There is no feedback: the poles are those of the arm, and the error grows where gravity destabilises a link."
-    if full:
-        return Section("9.9 Torque feedforward: open loop", finding, (equation, table), sections=tuple(pages), key="eq-9-9")
-    body: tuple[Block, ...] = (equation, table, *(b for b in pages[1].body if isinstance(b, Figure)))
-    inner = tuple(replace(page, body=()) for page in pages)
-    return Section("9.9 Torque feedforward: open loop", finding, body, sections=inner, key="eq-9-9", folded=True)
 
 
 # --- 9.10 and 9.12 ---------------------------------------------------------------------------------------------------------

@@ -110,13 +110,6 @@ def test_9_8_relative_gain_is_that_of_the_inertia_matrix():
     assert_allclose(found["relative_gain"], [(M[:, 0, 0] * M[:, 1, 1] / det).max()] * 2, rtol=1e-9)
 
 
-def test_9_9_has_the_poles_of_the_bare_joint_and_its_error_grows_as_simulated():
-    found = numbers("joint_torque", f"9-9-torque-feedforward-{JOINT}")
-    top = float(chapter.arms()[0].ref(2.0).q[0])
-    assert_allclose(found["rightmost"], np.roots([I, B, -MGR * np.sin(top)]).real.max(), rtol=1e-6)
-    assert found["error_off_path"] > 0.05 > 1e-3 > found["error_on_path"]
-
-
 @pytest.mark.parametrize(("arm", "n"), [(JOINT, 1), (PLANAR, 2)])
 def test_9_10_with_an_exact_model_is_the_design_polynomial_at_the_command(arm, n):
     found = numbers("joint_torque", f"9-10-computed-torque-{arm}")
