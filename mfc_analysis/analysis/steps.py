@@ -6,7 +6,6 @@ of the modes, to where the last has died away: they depend on no grid and no dur
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,18 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.analysis.delay.roots import delay_roots
-from mfc_analysis.analysis.delay.steps import delayed_runner, longest_run, longest_step, never_settled
-from mfc_analysis.analysis.modal_response import ModalPieces, terms
-from mfc_analysis.analysis.modes import Mode, modes
-from mfc_analysis.analysis.slow import MOVES
-from mfc_analysis.analysis.spectrum import spectrum
-from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.step_run import BAND, METRICS, metrics, metrics_of
-from mfc_analysis.analysis.step_samples import FEWEST, between, input_groups, step_samples
-from mfc_analysis.analysis.system import OpenSystem, close_wires
+from mfc_analysis.analysis.step_metrics import Outcome, pair_metrics, points
+from mfc_analysis.analysis.step_run import BAND
+from mfc_analysis.analysis.step_samples import between, step_samples
+from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, UnknownName
-from mfc_analysis.maths.arrays import Array, Ints
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.checks import number, times as checked_times
 from mfc_analysis.notebook import Shown
 
@@ -34,19 +27,6 @@ if TYPE_CHECKING:
     from control import TimeResponseData
 
     from mfc_analysis.plots.figure import Axes
-
-MOST_SAMPLES = 60_000_000  #: of a sampled loop
-DIED = 14.0  #: time constants of the slowest characteristic root in a run with dead time,
-ROOTS = 8  #: of those that are looked at
-AFFORDED = 50_000  #: steps of such a run, unless it takes more to settle
-
-
-class Outcome(enum.Enum):
-    """Long-term behaviour of the response."""
-
-    SETTLES = "the response settles"
-    RAMPS = "the response does not settle within the horizon: a slow root integrates the input"
-    GROWS = "the response grows: the closed loop is unstable"
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +246,7 @@ def step(system: OpenSystem, index: int, input: str | int, output: str | int, du
     if t is not None and duration is not None:
         raise BadArgument("duration", duration, "either times or a duration")
     first = np.zeros(1, int)
-    point = _points(one)[0]
+    point = points(one)[0]
     found = {name: values[0] for name, values in point.metrics(first, first).items()}
     if t is None:
         t, y = point.samples(duration, **found)
@@ -313,139 +293,3 @@ def _number(argument: str, name: str | int, known: tuple[str, ...]) -> int:
     if not isinstance(name, str) or name not in known:
         raise UnknownName(argument, name, known)
     return known.index(name)
-
-
-def _points(system: OpenSystem) -> list[Point]:
-    verdict = stability(system)
-    decay = verdict.nonzero_stable | ~verdict.held
-    return [Point(system.at(np.array([i])), closed, bool(decay[i])) for i, closed in enumerate(zip(*close_wires(system), strict=True))]
-
-
-def pair_metrics(system: OpenSystem, into: Ints, out: Ints) -> dict[str, Array]:
-    """(m, P) outcome, final value and metrics, by their names in ``Step``, of the steps from inputs ``into`` (P,) to outputs ``out`` (P,)."""
-    found = [point.metrics(into, out) for point in _points(system)]
-    return {name: np.array([one[name] for one in found]).reshape(len(found), into.size) for name in ("outcome", "steady_state", *METRICS)}
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """A loop at one point, and what all its responses share."""
-
-    system: OpenSystem
-    closed: tuple[Array, Array, Array, Array]  #: A, B, C, D of the closed loop, without dead time
-    others_decay: bool  #: no root grows that is not slow: also where every root is slow
-
-    @cached_property
-    def modes(self) -> list[Mode]:
-        """Of the rates: of A, or (A - I) / dt."""
-        A, dt = self.closed[0], self.system.dt
-        return modes((A - np.eye(len(A))) / dt if dt else A, self.system.radius)
-
-    def metrics(self, into: Ints, out: Ints) -> dict[str, Array]:
-        """(P,) of each response: the outcome, the final value, the metrics, and "longest": a time [s] at which everything has died away.
-
-        Dead time has no effect on final values. A slow mode that is not sure to decay leaves no trace, or ramps.
-        """
-        system, dt, P = self.system, self.system.dt, into.size
-        found = {name: np.full(P, np.nan) for name in ("steady_state", *METRICS)}
-        found |= {"outcome": np.full(P, Outcome.GROWS), "longest": np.zeros(P)}
-        if not self.others_decay:
-            return found
-        _, B, C, D = self.closed
-        b, c, d = B[:, into] / (dt or 1.0), C[out], D[out, into]
-        slow = [mode for mode in self.modes if (np.abs(mode.rates) < system.radius).all()]
-        loose = [mode for mode in slow if not mode.decays(dt)]
-        found_terms = terms([mode for mode in self.modes if mode not in loose], b, c, dt)
-        starts = found_terms.a[found_terms.starts].real
-        steady = d - starts.sum(axis=0)
-        steady[np.abs(steady) < 1e-13 * (np.abs(starts).sum(axis=0) + np.abs(d))] = 0.0
-        horizon = system.horizon if np.isfinite(system.horizon) else 1.0
-        moved = np.zeros((2, P))
-        for mode in loose:
-            moved += [((c @ mode.right @ mode.integral(time, dt)).T * (mode.left @ b)).sum(axis=0).real for time in (horizon, horizon / 2)]
-        ramps = np.abs(moved).max(axis=0) > MOVES * (found_terms.size.sum(axis=0) + np.abs(d)) + 1e-300
-        found["steady_state"] = np.where(ramps, np.copysign(np.inf, moved[0]), steady)
-        at = np.flatnonzero(~ramps)
-        if at.size:
-            if system.delayed:
-                new = self._delayed_metrics(into[at], out[at], steady[at])
-            else:
-                pieces = ModalPieces(found_terms.of(at), steady[at])
-                new = metrics(pieces.piece, steady[at], pieces.reach) | {"longest": np.full(at.size, pieces.end)}
-            late = (new["settling"] > system.horizon) & (len(slow) > len(loose))
-            for name, values in new.items():
-                found[name][at] = np.where(late & (name != "longest"), np.nan, values)
-            ramps[at[late]] = True
-            found["steady_state"][at[late]] = np.copysign(np.inf, steady[at[late]])
-        found["settling"][ramps] = np.inf
-        found["outcome"] = np.array([Outcome.SETTLES, Outcome.RAMPS])[ramps.astype(int)]
-        return found
-
-    def _delayed_metrics(self, into: Ints, out: Ints, steady: Array) -> dict[str, Array]:
-        """The same with dead time, from a run to where the slowest characteristic root has died away, or as far as ``AFFORDED`` steps go."""
-        system = self.system
-        roots = delay_roots(system, ROOTS)[0]
-        decay = -roots.real[np.isfinite(roots.real) & (np.abs(roots) >= system.radius)]
-        longest = min(max([DIED / x for x in decay if x > 0], default=0.0), AFFORDED * longest_step(system))
-        most = longest_run(system)
-        longest = min(max(longest, 10 * float(system.wire_delay.max())), most)
-        found = {name: np.zeros(steady.size) for name in (*METRICS, "longest")}
-        rows = np.unique(out)
-        for group in input_groups(between(system, range(system.nu), rows)):
-            group = np.intersect1d(group, into)
-            run = delayed_runner(between(system, group, rows))
-            left, duration = np.flatnonzero(np.isin(into, group)), longest
-            while left.size:
-                piece = run(duration, FEWEST).of(np.searchsorted(rows, out[left]) * group.size + np.searchsorted(group, into[left]))
-                new = metrics_of(piece, steady[left])
-                settled = new["settling"] < 0.9 * duration
-                for name, values in new.items():
-                    found[name][left[settled]] = values[settled]
-                found["longest"][left] = duration
-                left = left[~settled]
-                if left.size and duration >= most:
-                    raise never_settled(system, int(into[left[0]]), int(out[left[0]]), float(min(decay, default=0.0)))
-                duration = min(2 * duration, most)
-        return found
-
-    def samples(
-        self, duration: float | None, outcome: Outcome, settling: float, overshoot: float, peak_time: float, longest: float, **_: float
-    ) -> tuple[Array, Array]:
-        """Times [s] and values of the only response of the system; ``duration`` None: chosen by its metrics."""
-        system, dt = self.system, self.system.dt
-        if duration is None:
-            turned = peak_time if overshoot > 0 else 0.0
-            duration = float(max(2 * settling, 1.2 * turned) or longest) if outcome is Outcome.SETTLES else self._unsettled()
-            duration = min(duration, longest_run(system)) if system.delayed else duration
-        if system.delayed:
-            t, values = delayed_runner(system)(duration, self._count(duration)).samples
-            return t, values[0]
-        if dt:
-            count = max(2, int(np.ceil(duration / dt * (1 - 1e-12))))
-            if count > MOST_SAMPLES:
-                raise BadArgument("duration", duration, f"at most {MOST_SAMPLES * dt:.4g} s, {MOST_SAMPLES} samples of {dt:.3g} s")
-            t = np.linspace(0.0, dt * count, count + 1)
-        else:
-            count = self._count(duration)
-            t = np.asarray(duration / count * np.arange(count + 1), float)
-        return t, step_samples(system, t)[0, 0, 0]
-
-    def _unsettled(self) -> float:
-        """[s] duration that shows how a response grows, or moves on."""
-        system = self.system
-        known = spectrum(system)
-        s = known.rates[~known.slow]
-        rate = s.real[np.isfinite(s.real) & (np.abs(s.real) > 1e-12 * np.abs(s))]
-        slowest = rate.max() if (rate > 0).any() else np.abs(rate).min() if rate.size else 1.0
-        enough = 8 / float(slowest)
-        if not system.delayed:
-            return enough
-        enough = max(enough, 10 * float(system.wire_delay.max()))
-        growth = float(delay_roots(system, 1)[0, 0].real) if not self.others_decay else 0.0
-        return min(max(enough, min(3 / growth, 20 * enough)) if growth > 0 else enough, AFFORDED * longest_step(system))
-
-    def _count(self, duration: float) -> int:
-        if self.system.dt:
-            return max(1, round(duration / self.system.dt))
-        turns = duration * max((np.abs(mode.rates.imag).max() for mode in self.modes), default=0.0) / (2 * np.pi)
-        return int(np.clip(16 * turns, FEWEST, 20 * FEWEST))

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from mfc_analysis.analysis.loop_step import loop_step
 from mfc_analysis.analysis.margins import margins
 from mfc_analysis.analysis.plain import AT, in_feedback
-from mfc_analysis.analysis.steps import pair_metrics
+from mfc_analysis.analysis.step_metrics import pair_metrics
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.gains.formulas import asked_for, one_of

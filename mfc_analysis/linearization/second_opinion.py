@@ -28,7 +28,8 @@ from mfc_analysis.analysis.pade import with_pade
 from mfc_analysis.analysis.plain import disk_margin
 from mfc_analysis.analysis.spectrum import rates as rates_of, spectrum
 from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.steps import Outcome, step
+from mfc_analysis.analysis.step_metrics import Outcome
+from mfc_analysis.analysis.steps import step
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.linearization.exported import closed_model, loop_model, measured_model

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mfc_analysis.analysis.loop_step import SettlingStep, loop_step
-from mfc_analysis.analysis.steps import pair_metrics
+from mfc_analysis.analysis.step_metrics import pair_metrics
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.laws.law import WRENCH
 from mfc_analysis.maths.arrays import Array

@@ -14,7 +14,8 @@ from scipy.optimize import brentq
 
 import mfc_analysis as mfc
 from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.steps import Outcome, pair_metrics, step, steps
+from mfc_analysis.analysis.step_metrics import Outcome
+from mfc_analysis.analysis.steps import step, steps
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument, NotConverged, UnknownName
 from tests.analysis.conftest import open_system, random_loops
@@ -279,13 +280,6 @@ def test_a_coupled_batch_keeps_each_outcome():
     assert "1 of 2" in str(found) and "<table>" in found._repr_html_() and len(found) == 2
 
 
-def test_pairs_have_the_metrics_of_the_steps_between_them():
-    lin = ur5(*LOOPS["wrong model"], [0.0, 1.0])
-    found, every = pair_metrics(lin.opened, np.array([0, 3]), np.array([2, 3])), lin.steps([0.0])
-    for name in METRICS:
-        assert_allclose(found[name], getattr(every, name)[:, [2, 3], [0, 3]], rtol=1e-7 if name == "peak_time" else 1e-9, atol=1e-12)
-
-
 @pytest.mark.parametrize("seed", [1, 4, 5, 8, 13])
 def test_responses_of_many_time_scales_do_not_disturb_each_other(seed):
     """A stiff system with four outputs: together they share sections, alone each has its own; the metrics are those of the modal sum either way."""
@@ -302,11 +296,6 @@ def test_responses_of_many_time_scales_do_not_disturb_each_other(seed):
             scale = alone.peak if name in ("peak", "steady_state") else 1 + alone.peak / abs(alone.steady_state)
             assert_allclose(getattr(found, name)[0, out, 0], getattr(alone, name), rtol=0, atol=1e-8 * scale)
         assert_allclose([found.rise[0, out, 0], found.settling[0, out, 0]], [alone.rise, alone.settling], rtol=1e-6)
-
-
-def test_no_pairs_have_no_metrics():
-    none = np.zeros(0, int)
-    assert pair_metrics(open_system(4 / s), none, none)["settling"].shape == (1, 0)
 
 
 def test_times_of_samples_are_checked():

@@ -14,7 +14,8 @@ from collections.abc import Callable
 import mpmath
 import numpy as np
 
-from mfc_analysis.analysis.steps import Outcome, step
+from mfc_analysis.analysis.step_metrics import Outcome
+from mfc_analysis.analysis.steps import step
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.maths.arrays import Array
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mfc_analysis.analysis.steps import Outcome, Step, step
+from mfc_analysis.analysis.step_metrics import Outcome
+from mfc_analysis.analysis.steps import Step, step
 from mfc_analysis.dynamics.equations import reference_channels, reference_moves
 from mfc_analysis.errors import MfcError, MfcWarning
 from mfc_analysis.laws.law import WRENCH, ToolReference

@@ -11,7 +11,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.steps import Outcome, step
+from mfc_analysis.analysis.step_metrics import Outcome
+from mfc_analysis.analysis.steps import step
 from mfc_analysis.analysis.system import OpenSystem
 from tests.analysis.conftest import open_system, random_loops
 from tests.test_arms import loops

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
-from mfc_analysis.analysis.steps import Outcome
+from mfc_analysis.analysis.step_metrics import Outcome
 from mfc_analysis.maths.se3 import exp6, inverse, log6
 from mfc_analysis.report.loops.step_runs import GROWTH, Shifted, ToolOf, step_run, wrench_asked
 from tests.conftest import arm, moving, regular_pose
