@@ -130,7 +130,7 @@ def test_the_optional_libraries_are_blocked_and_those_of_the_core_are_not() -> N
 
 def test_the_core_works_without_any_extra(tmp_path: Path) -> None:
     optional = {library for _, libraries in errors.EXTRAS.values() for library in libraries}  # newer typer has pydantic, the library does not use it
-    without(others() | optional, CORE, folder=tmp_path)
+    assert without(others() | optional, CORE + "\nprint('all of it')", folder=tmp_path).endswith("all of it\n")
 
 
 def test_the_command_line_works_without_any_extra_or_names_the_one_it_needs(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def slider(law: L.Law, **hardware: object) -> ClosedLoop:
     return ClosedLoop(robots.slider(1.0), law, Hold([0.1]), hardware=Hardware(**hardware))
 
 
-def close(A: np.ndarray, want: np.ndarray) -> None:
+def assert_polynomial(A: np.ndarray, want: np.ndarray) -> None:
     want = np.asarray(want) / want[0]
     scale = np.abs(np.linalg.eigvals(A)).max() ** np.arange(len(want))
     assert np.max(np.abs(np.poly(A) - want) / scale) < 1e-9
@@ -60,11 +60,11 @@ def test_each_velocity_loop_behind_a_servo_has_its_polynomial(k: float, ki: floa
     servo = Servo(b, z)
     w = servo.natural_frequency
     G, lag = np.array([1.0, 2 * z * w, w * w]), np.array([T, 1.0])
-    close(slider(L.VelocityP(k), servo=servo).linearize().A[0], np.polyadd(np.polymul(G, [1, 0]), [k * w * w]))
-    close(slider(L.VelocityPI(k, ki), servo=servo).linearize().A[0], np.polyadd(np.polymul(G, [1, 0, 0]), [k * w * w, ki * w * w]))
+    assert_polynomial(slider(L.VelocityP(k), servo=servo).linearize().A[0], np.polyadd(np.polymul(G, [1, 0]), [k * w * w]))
+    assert_polynomial(slider(L.VelocityPI(k, ki), servo=servo).linearize().A[0], np.polyadd(np.polymul(G, [1, 0, 0]), [k * w * w, ki * w * w]))
     both = np.polyadd(np.polymul(np.polymul(G, lag), [1, 0]), [k * w * w])
-    close(slider(L.VelocityP(k), servo=servo, velocity_lag=T).linearize().A[0], both)
-    close(slider(L.TaskVelocity(k, axes="z"), servo=servo).linearize().A[0], np.polyadd(np.polymul(G, [1, 0]), [k * w * w]))
+    assert_polynomial(slider(L.VelocityP(k), servo=servo, velocity_lag=T).linearize().A[0], both)
+    assert_polynomial(slider(L.TaskVelocity(k, axes="z"), servo=servo).linearize().A[0], np.polyadd(np.polymul(G, [1, 0]), [k * w * w]))
 
 
 @pytest.mark.parametrize("z", [0.3, 1.0])
@@ -118,7 +118,7 @@ def test_sampled_it_moves_between_the_samples_as_the_servo_does() -> None:
     A = np.zeros((4, 4))
     A[:3, :3], A[:3, 3], A[3, 0] = E[:3, :3], E[:3, 3], -k
     lin = loop.linearize()
-    close(np.diag(lin.poles()[0]), np.poly(A))
+    assert_polynomial(np.diag(lin.poles()[0]), np.poly(A))
     run = loop.simulate(np.arange(0, 1.0001, h), 0.01)
     x, u = np.array([0.1 - 0.01, 0.03, 0.0]), 0.03
     for row in run.q[:, 0]:

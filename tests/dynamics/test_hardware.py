@@ -32,7 +32,7 @@ def joint(law: L.Law, **hardware: object) -> np.ndarray:
     return ClosedLoop(robots.single_joint(), law, Hold([0.4]), hardware=Hardware(**hardware)).linearize([0.0]).A[0]
 
 
-def close(A: np.ndarray, *wanted: object) -> None:
+def assert_polynomial(A: np.ndarray, *wanted: object) -> None:
     """The characteristic polynomial of A is the sum of these polynomials, made monic."""
     want = np.zeros(1)
     for one in wanted:
@@ -49,22 +49,22 @@ def close(A: np.ndarray, *wanted: object) -> None:
 @FEW
 @given(k=kps, ki=kis, T=lags)
 def test_a_velocity_lag_adds_one_order(k: float, ki: float, T: float) -> None:
-    close(joint(L.VelocityP(k), velocity_lag=T), [T, 1, k])
-    close(joint(L.VelocityPI(k, ki), velocity_lag=T), [T, 1, k, ki])
+    assert_polynomial(joint(L.VelocityP(k), velocity_lag=T), [T, 1, k])
+    assert_polynomial(joint(L.VelocityPI(k, ki), velocity_lag=T), [T, 1, k, ki])
 
 
 @FEW
 @given(kp=kps, ki=kis, kd=kds, T=lags)
 def test_a_torque_lag_stands_before_the_plant(kp: float, ki: float, kd: float, T: float) -> None:
     """(T s + 1) s (I s^2 + b s - m g r sin th) + kd s^2 + kp s + ki."""
-    close(joint(L.JointPID(kp, ki, kd), torque_lag=T), np.polymul(np.polymul([T, 1], PLANT), [1, 0]), [kd, kp, ki])
+    assert_polynomial(joint(L.JointPID(kp, ki, kd), torque_lag=T), np.polymul(np.polymul([T, 1], PLANT), [1, 0]), [kd, kp, ki])
 
 
 @FEW
 @given(kp=kps, ki=kis, kd=kds, T=lags)
 def test_a_velocity_filter_delays_the_damping_only(kp: float, ki: float, kd: float, T: float) -> None:
     loop = np.polymul(np.polymul(PLANT, [1, 0]), [T, 1])
-    close(joint(L.JointPID(kp, ki, kd), velocity_filter=T), loop, np.polymul([kp, ki], [T, 1]), [kd, 0, 0])
+    assert_polynomial(joint(L.JointPID(kp, ki, kd), velocity_filter=T), loop, np.polymul([kp, ki], [T, 1]), [kd, 0, 0])
 
 
 @FEW
@@ -75,7 +75,7 @@ def test_a_force_filter_delays_the_force(m: float, k: float, kfp: float, kfi: fl
     loop = ClosedLoop(robots.slider(m), law, Hold([0.0]), environment=Environment(k, preload=5.0), hardware=Hardware(force_filter=T))
     lin = loop.linearize([0.0])
     keep = [lin.state_names.index(n) for n in ("q_slide", "v_slide", "z_f_fz", "F_filter_fz")]
-    close(lin.A[0][np.ix_(keep, keep)], np.polymul(np.polymul([1, 0], [T, 1]), [m, kdamp, k]), [k * kfp, k * kfi])
+    assert_polynomial(lin.A[0][np.ix_(keep, keep)], np.polymul(np.polymul([1, 0], [T, 1]), [m, kdamp, k]), [k * kfp, k * kfi])
 
 
 # --- elastic joints ----------------------------------------------------------------------------------------------------------
@@ -91,7 +91,7 @@ def test_an_elastic_joint_is_two_masses_and_a_spring(kp: float, ki: float, kd: f
         A = joint(L.JointPID(kp, ki, kd), joint_stiffness=K, joint_damping=D, motor_inertia=B, feedback=feedback)
         free = np.polyadd(np.polymul(link, np.polyadd(motor, spring)), -np.polymul(spring, spring))
         at = link if feedback == "motor" else spring
-        close(A, np.polymul(free, [1, 0]), np.polymul(at, pid))
+        assert_polynomial(A, np.polymul(free, [1, 0]), np.polymul(at, pid))
 
 
 @FEW
@@ -104,7 +104,7 @@ def test_the_filter_sees_the_speed_where_the_encoder_sits(kp: float, kd: float, 
     pd = np.polyadd(np.polymul([kp], lag), [kd, 0])
     for feedback, at in (("motor", link), ("link", spring)):
         A = joint(L.JointPID(kp, kd=kd), joint_stiffness=K, motor_inertia=0.2, velocity_filter=T, feedback=feedback)
-        close(A, free, np.polymul(at, pd))
+        assert_polynomial(A, free, np.polymul(at, pd))
 
 
 def test_cut_at_the_encoder_the_filtered_rate_is_cut_as_well() -> None:
@@ -166,7 +166,7 @@ def test_feedforward_as_printed_has_the_acceleration_of_its_encoder(lag: float |
         motor = np.polyadd(np.polymul(late, [B, 0, K]), [m_hat, 0, 0] if feedback == "motor" else [0.0])
         link = np.polyadd([m, 0, K], [0.0])
         coupled = np.polymul(late, [K]) if feedback == "motor" else np.polyadd(np.polymul(late, [K]), [-m_hat, 0, 0])
-        close(loop.linearize([0.0]).A[0], np.polymul(motor, link), -np.polymul(coupled, [K]))
+        assert_polynomial(loop.linearize([0.0]).A[0], np.polymul(motor, link), -np.polymul(coupled, [K]))
         run = loop.simulate(0.3, q=[0.12], v=[0.0], rtol=1e-9, atol=1e-11)
         x0 = run.x[0] - loop.linearize([0.0]).point.x[0]
         want = loop.linearize([0.0]).point.x[0] + expm(0.3 * loop.linearize([0.0]).A[0]) @ x0  # the loop is linear

@@ -19,7 +19,7 @@ from mfc_analysis.trajectories import Hold, ToolSinusoid
 from tests.conftest import ARMS, Case, arm, each, full, loop_of, named, regular_pose, seed
 from tests.dynamics.test_jacobians import misfit
 from tests.laws.gantry import gantry
-from tests.laws.test_impedance import axis_blocks, close
+from tests.laws.test_impedance import assert_polynomial, axis_blocks
 
 FEW = settings(max_examples=12, deadline=None)
 masses, dampings, walls, lags = st.floats(0.3, 30), st.floats(10, 2000), st.floats(100, 1e5), st.floats(2e-3, 0.2)
@@ -37,12 +37,12 @@ def slider(M: float, D: float, wall: float, K: float | None = None, push: np.nda
 @FEW
 @given(M=masses, D=dampings, k=walls, K=st.floats(0, 2000), T=lags, b=st.floats(20, 300), z=st.floats(0.3, 2))
 def test_one_direction_on_a_spring_has_its_polynomial(M: float, D: float, k: float, K: float, T: float, b: float, z: float) -> None:
-    close(slider(M, D, k).linearize().A[0], [M, D, k])
-    close(slider(M, D, k, velocity_lag=T).linearize().A[0], [M * T, M + D * T, D, k])
-    close(slider(M, D, k, K, velocity_lag=T).linearize().A[0], [M * T, M + D * T, D, k + K])
+    assert_polynomial(slider(M, D, k).linearize().A[0], [M, D, k])
+    assert_polynomial(slider(M, D, k, velocity_lag=T).linearize().A[0], [M * T, M + D * T, D, k])
+    assert_polynomial(slider(M, D, k, K, velocity_lag=T).linearize().A[0], [M * T, M + D * T, D, k + K])
     w = Servo(b, z).natural_frequency
     servo = np.polyadd(np.polymul([M, D, 0], [1, 2 * z * w, w * w]), [(k + K) * w * w])
-    close(slider(M, D, k, K, servo=Servo(b, z)).linearize().A[0], servo)
+    assert_polynomial(slider(M, D, k, K, servo=Servo(b, z)).linearize().A[0], servo)
 
 
 @FEW
@@ -51,9 +51,9 @@ def test_a_filter_and_a_damper_of_the_wall_stand_where_they_should(M: float, D: 
     """(M s + D) s (T s + 1) + (c s + k): the force through its filter; with a lag of the velocity the damper feels q'."""
     lin = slider(M, D, k, force_filter=T).linearize(coordinates="state")
     keep = [lin.state_names.index(name) for name in ("q_slide", "w_vz", "F_filter_fz")]  # the filters of the other components act on nothing
-    close(lin.A[0][np.ix_(keep, keep)], np.polyadd(np.polymul([M, D, 0], [T, 1]), [k]))
+    assert_polynomial(lin.A[0][np.ix_(keep, keep)], np.polyadd(np.polymul([M, D, 0], [T, 1]), [k]))
     damped = replace(slider(M, D, k, velocity_lag=T), environment=Environment(k, c, preload=10.0))
-    close(damped.linearize().A[0], np.polyadd(np.polymul([M, D, 0], [T, 1]), [c, k]))
+    assert_polynomial(damped.linearize().A[0], np.polyadd(np.polymul([M, D, 0], [T, 1]), [c, k]))
 
 
 @FEW
@@ -116,7 +116,7 @@ def test_six_axes_of_a_gantry_are_six_of_one_direction() -> None:
     lin = loop.linearize(coordinates="state")
     names = tuple(name.replace("w_w", "w_r").replace("w_v", "w_") for name in lin.state_names)
     for A, m, d, s, k in zip(axis_blocks(lin.A[0], names), M, D, K, wall, strict=True):
-        close(A, [m * T, m + d * T, d, s + k])
+        assert_polynomial(A, [m * T, m + d * T, d, s + k])
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda", "kinova"])

@@ -28,7 +28,7 @@ def slider(K: float, D: float, m: float, wall: float, lag: float | None = None, 
     return ClosedLoop(robots.slider(m), law, Hold([0.0]), environment=Environment(wall), hardware=Hardware(torque_lag=lag))
 
 
-def close(A: np.ndarray, want: np.ndarray) -> None:
+def assert_polynomial(A: np.ndarray, want: np.ndarray) -> None:
     """The characteristic polynomial of A, to 1e-9 of its terms at the size of the roots."""
     want = np.asarray(want) / want[0]
     scale = np.abs(np.linalg.eigvals(A)).max() ** np.arange(len(want))
@@ -41,16 +41,16 @@ def close(A: np.ndarray, want: np.ndarray) -> None:
 @FEW
 @given(K=stiffnesses, D=dampings, m=masses, k=walls, T=lags)
 def test_one_mass_on_a_spring_behind_a_lag_has_its_polynomial(K: float, D: float, m: float, k: float, T: float) -> None:
-    close(slider(K, D, m, k).linearize().A[0], [m, D, K + k])
-    close(slider(K, D, m, k, T).linearize().A[0], [m * T, m, D + k * T, K + k])
+    assert_polynomial(slider(K, D, m, k).linearize().A[0], [m, D, K + k])
+    assert_polynomial(slider(K, D, m, k, T).linearize().A[0], [m * T, m, D + k * T, K + k])
 
 
 @FEW
 @given(K=stiffnesses, D=dampings, m=masses, k=walls, M_d=masses, T=lags)
 def test_a_shaped_mass_is_the_one_asked_for(K: float, D: float, m: float, k: float, M_d: float, T: float) -> None:
     """Without lag M_d s^2 + D s + K + k; with it m s^2 (T s + 1) = -(m/M_d)(D s + K + k) + k - k (T s + 1)."""
-    close(slider(K, D, m, k, inertia=M_d).linearize().A[0], [M_d, D, K + k])
-    close(slider(K, D, m, k, T, M_d).linearize().A[0], [m * T, m, m * D / M_d + k * T, m * (K + k) / M_d])
+    assert_polynomial(slider(K, D, m, k, inertia=M_d).linearize().A[0], [M_d, D, K + k])
+    assert_polynomial(slider(K, D, m, k, T, M_d).linearize().A[0], [m * T, m, m * D / M_d + k * T, m * (K + k) / M_d])
 
 
 @FEW
@@ -95,7 +95,7 @@ def test_six_axes_with_a_diagonal_lambda_are_six_masses(shaped: bool) -> None:
     lin = on_gantry(L.Impedance(K, D, M_d if shaped else None), wall, T).linearize(coordinates="state")
     for A, m, k_d, d, k, m_d in zip(axis_blocks(lin.A[0], lin.state_names), INERTIAS, K, D, wall, M_d, strict=True):
         r = m / m_d if shaped else 1.0
-        close(A, [m * T, m, r * d + k * T, r * (k_d + k) if shaped else k_d + k])
+        assert_polynomial(A, [m * T, m, r * d + k * T, r * (k_d + k) if shaped else k_d + k])
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda"])
@@ -194,7 +194,7 @@ def test_in_joint_space_it_is_computed_torque_with_the_gains_of_the_arm() -> Non
 def test_a_shaped_joint_shows_its_inertia() -> None:
     """J = 1 on the slider: M_d s^2 + D s + K + k."""
     loop = ClosedLoop(robots.slider(2.0), L.JointImpedance(300.0, 20.0, 0.7), Hold([0.0]), environment=Environment(1500.0))
-    close(loop.linearize().A[0], [0.7, 20.0, 1800.0])
+    assert_polynomial(loop.linearize().A[0], [0.7, 20.0, 1800.0])
 
 
 def test_joint_by_joint_it_is_a_spring_and_a_damper_on_each_effective_inertia() -> None:

@@ -20,11 +20,11 @@ CHECKED = jsonschema.Draft202012Validator(json_schema())
 @pytest.mark.parametrize("name", shipped.shipped())
 def test_a_shipped_study_is_one_by_the_schema(name: str) -> None:
     path, _ = shipped.shipped()[name]
-    CHECKED.validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    assert not list(CHECKED.iter_errors(tomllib.loads(path.read_text(encoding="utf-8"))))
 
 
 def test_what_init_writes_is_one_by_the_schema() -> None:
-    CHECKED.validate(tomllib.loads(study_for(load("panda"), 'load = "panda"', "panda.toml")))
+    assert not list(CHECKED.iter_errors(tomllib.loads(study_for(load("panda"), 'load = "panda"', "panda.toml"))))
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from mfc_analysis.report.render.write import rendered
 from mfc_analysis.requirements.line import Status
 from tests.plots.overlaps import texts_on_curves, texts_on_texts
 from tests.plots.test_figure import texts
-from tests.report.loops.test_record import rebuilt, same_margins
+from tests.report.loops.test_record import assert_same_margins, rebuilt
 from tests.report.render.test_pdf import words
 
 LOOP = "9.8 independent PID, planar 2R"
@@ -180,7 +180,7 @@ def test_every_loop_rebuilt_from_the_json_has_the_margins_of_the_report(written)
     named = {s["loop"] for s in sections_of(written[1]) if s["loop"]}
     assert set(loops) == named and len(loops) >= 22
     for found in loops.values():
-        same_margins(found, rebuilt(found["loop"]))
+        assert_same_margins(found, rebuilt(found["loop"]))
 
 
 def test_the_gains_of_every_loop_stand_in_front_with_their_units_and_origin(written):

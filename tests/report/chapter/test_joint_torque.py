@@ -26,7 +26,7 @@ def as_complex(values: list) -> np.ndarray:
     return np.array([complex(z["re"], z["im"]) if isinstance(z, dict) else complex(z) for z in values])
 
 
-def same_roots(found: list, polynomial: list, digits: float = 1e-6) -> None:
+def assert_same_roots(found: list, polynomial: list, digits: float = 1e-6) -> None:
     assert_allclose(np.poly(as_complex(found)), np.array(polynomial) / polynomial[0], rtol=digits, atol=digits)
 
 
@@ -44,7 +44,7 @@ def test_9_1_has_nothing_but_poles_at_zero_and_integrates_disturbances(arm, n):
 @pytest.mark.parametrize(("arm", "n"), [(JOINT, 1), (PLANAR, 2), (UR5, 6)])
 def test_9_2_has_the_pole_the_delay_margin_and_the_lag_of_the_closed_forms(arm, n):
     found = numbers("velocity", f"9-2-velocity-p-{arm}")
-    same_roots(found["poles"], np.poly([-K] * n))
+    assert_same_roots(found["poles"], np.poly([-K] * n))
     assert_allclose(found["delay"], [np.pi / (2 * K)] * n)
     assert_allclose(found["phase_deg"], [90.0] * n)
     assert_allclose(found["ramp_error"], 0.2 / K, rtol=1e-5)
@@ -56,7 +56,7 @@ def test_9_3_has_python_controls_margins_and_the_errors_of_the_closed_forms(arm,
     _, phase, _, crossover = control.margin(control.tf([K, KI], [1, 0, 0]))
     assert_allclose(found["phase_deg"], [phase] * n)
     assert_allclose(found["crossover"], [crossover] * n)
-    same_roots(found["poles"], np.poly(np.tile(np.roots([1, K, KI]), n)), 1e-5)
+    assert_same_roots(found["poles"], np.poly(np.tile(np.roots([1, K, KI]), n)), 1e-5)
     assert abs(found["ramp_error"]) < 1e-5
     assert_allclose(found["parabola_error"], 0.1 / KI, rtol=1e-4)
 
@@ -82,7 +82,7 @@ def test_9_8_on_one_joint_has_the_chapters_polynomial_and_python_controls_margin
     kp, ki, kd = 3 * W**2 * I, W**3 * I, 3 * W * I
     theta = float(chapter.arms()[0].ref(found["worst"]["time"]).q[0])
     stiffness = kp - MGR * np.sin(theta)
-    same_roots(found["poles"], [I, B + kd, stiffness, ki])
+    assert_same_roots(found["poles"], [I, B + kd, stiffness, ki])
     L = control.tf([kd, kp, ki], [I, B, -MGR * np.sin(theta), 0])
     low, phase, _, crossover = control.margin(L)
     assert_allclose(found["phase_deg"][0], phase, rtol=1e-6)
@@ -99,7 +99,7 @@ def test_9_8_each_joint_alone_has_the_poles_of_the_diagonal_of_the_inertia():
     gains = chapter.Designs().law("9.8", arm).gains()
     for j in range(2):
         kp, ki, kd = (float(gains[name].array[j]) for name in ("kp", "ki", "kd"))
-        same_roots(found["decentralised_poles"][j], [M[j, j], arm.robot.viscous[j] + kd, kp + g[j], ki], 1e-5)
+        assert_same_roots(found["decentralised_poles"][j], [M[j, j], arm.robot.viscous[j] + kd, kp + g[j], ki], 1e-5)
 
 
 def test_9_8_relative_gain_is_that_of_the_inertia_matrix():
@@ -113,7 +113,7 @@ def test_9_8_relative_gain_is_that_of_the_inertia_matrix():
 @pytest.mark.parametrize(("arm", "n"), [(JOINT, 1), (PLANAR, 2)])
 def test_9_10_with_an_exact_model_is_the_design_polynomial_at_the_command(arm, n):
     found = numbers("joint_torque", f"9-10-computed-torque-{arm}")
-    same_roots(found["poles"], np.poly([-W] * (3 * n)), 1e-5)
+    assert_same_roots(found["poles"], np.poly([-W] * (3 * n)), 1e-5)
     _, phase, _, _ = control.margin(control.tf([3 * W, 3 * W**2, W**3], [1, 0, 0, 0]))
     assert_allclose(found["command_phase_deg"], [phase] * n, rtol=1e-6)
     assert_allclose(found["command_gain_reduction"], [1 / 9] * n, rtol=1e-6)
@@ -132,7 +132,7 @@ def test_9_11_leaves_the_double_integrator_where_the_model_is_exact():
     for arm in (JOINT, PLANAR):
         found = numbers("joint_torque", f"9-11-inverse-dynamics-pd-{arm}")
         assert found["double_integrator"] < 1e-9
-        same_roots(found["poles"], np.poly([-W] * (2 * len(found["channels"]))), 1e-5)
+        assert_same_roots(found["poles"], np.poly([-W] * (2 * len(found["channels"]))), 1e-5)
     wrong = numbers("joint_torque", f"9-11-inverse-dynamics-pd-{UR5}")
     assert wrong["double_integrator"] > 0.1
 
@@ -150,7 +150,7 @@ def test_the_linear_model_is_right_on_every_loop_with_feedback():
 
 def test_9_3_as_printed_has_the_identity_for_its_integral_gain():
     found = numbers("misprints", "misprint-9-3")
-    same_roots(found["printed"]["poles"], [1, K, 1])
+    assert_same_roots(found["printed"]["poles"], [1, K, 1])
     _, phase, _, _ = control.margin(control.tf([K, 1], [1, 0, 0]))
     assert_allclose(found["printed"]["phase_deg"], phase)
 

@@ -50,7 +50,7 @@ def rebuilt(data: dict[str, Any]) -> mfc.ClosedLoop:
     )
 
 
-def same_margins(found: dict[str, Any], loop: mfc.ClosedLoop) -> None:
+def assert_same_margins(found: dict[str, Any], loop: mfc.ClosedLoop) -> None:
     """The smallest phase and delay margins of the JSON are those of the loop."""
     lin = loop.linearize(found[KEY]["times"])
     for name in ("phase_deg", "delay"):
@@ -65,7 +65,7 @@ def same_margins(found: dict[str, Any], loop: mfc.ClosedLoop) -> None:
 def test_a_loop_rebuilt_from_its_json_has_the_same_margins(kind: str) -> None:
     loop, times, *_ = LOOPS[kind]()
     data = json.loads(rendered(loop_document({"one": loop}, times), ("json",))["json"])
-    same_margins(data["sections"][-1]["numbers"], rebuilt(data["sections"][-1]["numbers"][KEY]))
+    assert_same_margins(data["sections"][-1]["numbers"], rebuilt(data["sections"][-1]["numbers"][KEY]))
 
 
 def test_the_python_code_of_a_record_builds_the_loop_too() -> None:
