@@ -48,7 +48,7 @@ class Motion:
     """The states of a nonlinear run at k times."""
 
     t: Array  #: (k,) [s]
-    x: Array  #: (k, nx) states in the order of ``state_names``
+    x: Array  #: (k, nx)
     outcome: Outcome  #: how it ended
     message: str  #: what happened and when, a sentence
     path: DenseOutput = field(repr=False)  #: the states between the samples
@@ -77,6 +77,8 @@ class Motion:
 class Simulation(Motion):
     """A nonlinear run at k times."""
 
+    t: Array  #: (k,) [s]
+    x: Array  #: (k, nx) states in the order of ``state_names``
     q: Array  #: (k, n) [rad, m]
     v: Array  #: (k, n) [rad/s, m/s]
     tau: Array  #: (k, n) torque at the joints, after dead time, limit and lag [Nm] (velocity laws: velocity [rad/s])
