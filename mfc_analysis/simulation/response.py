@@ -25,7 +25,7 @@ FOLLOWED = 0.5  #: of the starts: those that the steps are to follow
 ROUGH = 0.1  #: of the misfit: its error by steps that are too long
 SMALL = 0.3  #: of the largest misfit: below it a misfit need not be more accurate
 FAR = 1e6  #: [SI] deviation beyond which a response is not followed
-AGREED, SHRINKS = 0.15, 0.5  #: change in the last repetition, of what is beyond the linear response; and that in a repetition, of the one before
+AGREED, SHRINKS = 0.25, 0.5  #: change in the last repetition, of what is beyond the linear response; and that in a repetition, of the one before
 
 
 @dataclass(frozen=True, eq=False)
