@@ -1,7 +1,8 @@
 """The loop linearised along a base run: A(t), and its transition matrices in equal steps. Dead time and sampling are left out.
 
-Along most runs A(t) is smooth: a polynomial through a few Chebyshev points gives it everywhere. Where the polynomial does not settle (a limit,
-a contact that is lost) A is evaluated at each time that is asked for.
+Along most runs A(t) is smooth: a polynomial through a few Chebyshev points gives it everywhere. Where the polynomial does not settle, or misses
+what happens between its points (a limit that is reached for a short time, friction where a joint turns back), A is evaluated at each time that is
+asked for.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from mfc_analysis.simulation.simulation import Motion
 STEPS = 200  #: of equal length, over the run
 DEGREES = (8, 16, 32, 64)  #: of the polynomial, tried until it settles
 SETTLED, LAST = 1e-9, 3  #: of its largest coefficient: the last ones of a polynomial that gives A(t), and their number
+GIVEN = 1e-7  #: of its largest value in the run: the error of an entry of A in the middle of a step, up to which the polynomial gives it
 ROUGHLY = 1e-3  #: of its largest coefficient: those that are left out where A(t) need not be accurate
 PIECES = 25  #: over which A(t) is held there, if it is not smooth
 FAST = 0.3  #: modulus of the largest root times a step, above which an input is held by the matrix exponential
@@ -87,7 +89,7 @@ class Along:
 
     @cached_property
     def _series(self) -> Array | None:
-        """(degree + 1, nx nx) coefficients of A(t); None where no degree in ``DEGREES`` settles."""
+        """(degree + 1, nx nx) coefficients of A(t); None where no degree in ``DEGREES`` settles and gives A in the middle of every step."""
         samples = np.empty((0, self.e.nx**2))
         for degree in DEGREES:
             t, known = self._points(degree), samples
@@ -97,9 +99,21 @@ class Along:
             samples[new] = closed_matrix(self.e, t[new], self.base.state(t[new])).reshape(-1, self.e.nx**2)
             found = _coefficients(degree) @ samples
             size = np.abs(found).max(axis=1)
-            if size[-LAST:].max() <= SETTLED * size.max():
+            if size[-LAST:].max() <= SETTLED * size.max() and self._given(found):
                 return np.asarray(found, float)
         return None
+
+    def _given(self, series: Array) -> bool:
+        """True where the series gives A in the middle of every step."""
+        t, exact = self._middles
+        off = np.abs(self._powers(t, len(series) - 1) @ series - exact).max(axis=0)
+        return bool(np.all(off <= GIVEN * np.abs(exact).max(axis=0) + SETTLED * np.abs(exact).max()))
+
+    @cached_property
+    def _middles(self) -> tuple[Array, Array]:
+        """Times (STEPS,) [s] in the middle of the steps, and A there, (STEPS, nx nx)."""
+        t = 0.5 * (self.t[:-1] + self.t[1:])
+        return t, closed_matrix(self.e, t, self.base.state(t)).reshape(STEPS, -1)
 
     def _points(self, degree: int) -> Array:
         """(degree + 1,) [s] Chebyshev points of the run, its start and end among them."""

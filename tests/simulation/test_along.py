@@ -19,7 +19,7 @@ from mfc_analysis.simulation import along as module
 from mfc_analysis.simulation.along import STEPS, Along
 from mfc_analysis.simulation.orbit import TIGHT
 from mfc_analysis.simulation.simulation import motion
-from mfc_analysis.trajectories import Hold
+from mfc_analysis.trajectories import Hold, Sinusoid
 from tests.conftest import arm, moving, plant, regular_pose
 
 
@@ -62,7 +62,7 @@ def test_it_evaluates_few_points_on_a_smooth_run_and_one_at_rest(monkeypatch: py
         return closed_matrix(e, t, *more)
 
     monkeypatch.setattr(module, "closed_matrix", counted)
-    assert along(LOOPS["on a moving path"](), 0.4).Phi.shape == (STEPS, 18, 18) and sum(points) < 70
+    assert along(LOOPS["on a moving path"](), 0.4).Phi.shape == (STEPS, 18, 18) and sum(points) < 70 + STEPS
     points.clear()
     assert along(LOOPS["at rest"](), 0.4).Phi.shape == (STEPS, 18, 18) and sum(points) == 1
 
@@ -77,6 +77,15 @@ def test_where_a_limit_is_left_each_time_is_evaluated() -> None:
     assert_allclose(found.A(t), exact, rtol=1e-12)
     times, weights = found.roughly(found.t)
     assert_allclose(weights @ times, times[np.searchsorted(times, found.t, side="right") - 1])
+
+
+def test_a_limit_that_is_reached_between_the_points_of_the_polynomial_is_not_missed() -> None:
+    """A slider that swings: its force, 18 N at most, is at the limit for 0.035 s, twice."""
+    law, limit = L.ComputedTorque(100.0, None, 20.0), Hardware(torque_limit=17.9)
+    found = along(ClosedLoop(robots.slider(1.0), law, Sinusoid([0.0], [0.5], [6.0]), hardware=limit), 1.0)
+    t = np.linspace(0.0, 1.0, 101)
+    assert_allclose(found.A(t), closed_matrix(found.e, t, found.base.state(t)), rtol=1e-12)
+    assert {0.0, -100.0} == set(found.A(t)[:, 1, 0])
 
 
 @pytest.mark.parametrize("count", [20, 50, 100, STEPS])
