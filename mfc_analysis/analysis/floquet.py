@@ -9,7 +9,8 @@ advanced by Magnus steps of fourth order on two Gauss-Legendre nodes,
 Source: Blanes, Casas, Oteo, Ros, "The Magnus expansion and some of its applications", Physics Reports 470 (2009), section 5.
 
 Where a root is fast for the steps they are halved until the matrices stay the same; the fastest, for which the series does not converge, are those
-of the Radau IIA method of fifth order. Source: Hairer, Wanner, Solving Ordinary Differential Equations II, section IV.5.
+of the Radau IIA method of fifth order. Source: Hairer, Wanner, Solving Ordinary Differential Equations II, section IV.5. Where A changes within a
+step (friction where a joint turns back, a limit) that step is halved, and the half in which it does.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ _RADAU = np.array(
 )
 CALM, STIFF = 0.3, 3.0  #: modulus of a root times a step: up to the first one step is enough; above the second the Magnus series does not converge
 SAME, HALVED = 1e-6, 7  #: change of a step's matrix, of its largest entry, at which its parts are short enough; and how often they are halved
+FEW, SHORT = 32, 20  #: as few parts, in which A jumps, are halved more often
+STRAIGHT = 1e-5  #: of the largest entry of a step's matrix: what A at its ends may be off a line, times the step
 
 
 class FloquetVerdict(Enum):
@@ -157,16 +160,19 @@ def transition_magnus(A_nodes: Array, h: float | Array) -> Array:
         return np.asarray(expm(Omega), float)
 
 
-def transitions(A: Callable[[Array], Array], edges: Array) -> Array:
+def transitions(A: Callable[[Array], Array], edges: Array, *, smooth: bool = True) -> Array:
     """(N, n, n) transition matrices of x' = A(t) x, one for each step between the N + 1 ``edges`` [s]; ``A``: times (m,) [s] -> (m, n, n).
 
-    Raises as ``transition_magnus``, and what ``A`` raises.
+    ``smooth``: whether A changes little within a step, so that one is enough where all roots are slow. Raises as ``transition_magnus``, and
+    what ``A`` raises.
     """
     starts, h = np.asarray(edges, float)[:-1], np.diff(np.asarray(edges, float))
     nodes = gauss_nodes(edges)
     flat = A(np.ravel(nodes))
     whole = transition_magnus(flat.reshape(*nodes.shape, *flat.shape[1:]), h)
     turn = _turn(flat, float(h.max()))
+    if not smooth and turn <= STIFF:
+        return _halved(A, starts, h, whole)
     if turn <= CALM:
         return whole
     out, left, before = np.empty_like(whole), np.arange(len(h)), whole
@@ -176,6 +182,27 @@ def transitions(A: Callable[[Array], Array], edges: Array) -> Array:
         left, before = left[more], found[more]
         if not left.size:
             break
+    return out
+
+
+def _halved(A: Callable[[Array], Array], starts: Array, h: Array, whole: Array, times: int = 1) -> Array:
+    """The transition matrices ``whole`` over h (N,) from ``starts`` (N,) [s] by two halves.
+
+    Each is halved again where that changes them, or where A at the ends of a half is not on a line with A at its nodes.
+    """
+    N, starts, h = len(whole), np.concatenate([starts, starts + 0.5 * h]), 0.5 * np.concatenate([h, h])
+    at = A(np.ravel(starts[:, None] + h[:, None] * [0.0, *_NODES, 1.0])).reshape(2 * N, 4, *whole.shape[1:])
+    half = transition_magnus(at[:, 1:3], h)
+    with np.errstate(over="ignore", invalid="ignore"):
+        line = at[:, 1:3] + _NODES[0] / (_NODES[1] - _NODES[0]) * (at[:, 1:3] - at[:, 2:0:-1])
+        off = (np.abs(at[:, ::3] - line).max(axis=(1, 2, 3)) * h).reshape(2, N).max(axis=0)
+        out = half[N:] @ half[:N]
+        size = np.abs(out).max(axis=(1, 2))
+        more = np.flatnonzero(~((np.abs(out - whole).max(axis=(1, 2)) <= SAME * size) & (off <= STRAIGHT * size)))
+        if more.size and times < (SHORT if more.size <= FEW else HALVED):
+            both = np.concatenate([more, more + N])
+            finer = _halved(A, starts[both], h[both], half[both], times + 1)
+            out[more] = finer[more.size :] @ finer[: more.size]
     return out
 
 

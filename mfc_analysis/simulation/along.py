@@ -53,7 +53,8 @@ class Along:
     @cached_property
     def Phi(self) -> Array:
         """(STEPS, nx, nx) transition matrices of the steps."""
-        Phi = transitions(self.A, self.t[:2] if self.still else self.t)
+        smooth = self.still or self._series is not None
+        Phi = transitions(self.A, self.t[:2] if self.still else self.t, smooth=smooth)
         return np.broadcast_to(Phi, (STEPS, *Phi.shape[1:]))
 
     def steps(self, count: int) -> tuple[Array, Array]:

@@ -65,6 +65,30 @@ def test_a_fast_root_along_a_turning_matrix_costs_no_accuracy(fast: float) -> No
     assert magnus < 3e-7 if fast > -10 else magnus > 1e-3
 
 
+@pytest.mark.parametrize("jump", [0.5001, 0.5029, 0.5061, 0.508, 0.51, 0.5123, 0.5152, 0.5199])
+def test_a_jump_is_found_wherever_in_a_step_it_is(jump: float) -> None:
+    """Steps of 0.02 s; the nodes of the step and of its halves do not see a jump near its ends."""
+    before, after = np.array([[0.0, 1.0], [-100.0, -20.0]]), np.array([[0.0, 1.0], [0.0, 0.0]])
+
+    def A(t: np.ndarray) -> np.ndarray:
+        return np.where((t < jump)[:, None, None], before, after)
+
+    exact, edges = expm((1.0 - jump) * after) @ expm(jump * before), np.linspace(0.0, 1.0, 51)
+    assert_allclose(period_map(transitions(A, edges, smooth=False)), exact, atol=1e-5 * np.abs(exact).max())
+
+
+def test_a_short_event_is_followed_where_the_motion_is_not_smooth() -> None:
+    """Damping that is large for a thousandth of a second, as friction is where a joint turns back."""
+
+    def A(t: np.ndarray) -> np.ndarray:
+        out = np.tile([[0.0, 1.0], [-100.0, -20.0]], (len(t), 1, 1))
+        out[:, 1, 1] -= 1e3 * np.exp(-(((t - 0.437) / 1e-3) ** 2))
+        return out
+
+    found, fine = (period_map(transitions(A, np.linspace(0.0, 1.0, n + 1), smooth=False)) for n in (50, 50_000))
+    assert_allclose(found, fine, atol=1e-6 * np.abs(fine).max())
+
+
 def test_a_fast_root_of_a_constant_matrix_is_its_exponential() -> None:
     A = np.array([[0.0, 1.0], [-1e8, -1e5]])
     found = transitions(lambda t: np.broadcast_to(A, (len(t), 2, 2)), np.linspace(0.0, 1e-3, 3))

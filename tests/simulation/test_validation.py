@@ -33,6 +33,17 @@ def test_the_remainder_shrinks_with_the_square_on_a_moving_path_with_a_wrong_mod
     assert found.radius > 0.02
 
 
+def test_the_remainder_shrinks_with_the_square_where_the_base_run_reaches_a_limit():
+    """An error of A(t) over a part of a step where the limit is reached and left would show as first order."""
+    law, limit = mfc.laws.ComputedTorque(100, None, 20), np.array([400.0, 50.0, 400.0, 400.0, 400.0, 400.0])
+    moving = mfc.trajectories.Sinusoid(Q, 0.2, 5.0)
+    free, limited = (mfc.ClosedLoop(UR5, law, moving, hardware=mfc.Hardware(torque_limit=u)) for u in (400.0, limit))
+    largest = np.abs(free.simulate(np.linspace(0, 0.5, 101)).command[:, 1]).max()
+    assert largest > limit[1]
+    found = limited.validate(time=0.5, size=1e-4)
+    assert abs(found.taylor_order - 2.0) < 0.05
+
+
 def test_a_linearisation_wrong_by_a_tenth_of_a_percent_shows_as_first_order(monkeypatch):
     loop = mfc.ClosedLoop(UR5, mfc.laws.JointPID(400, 200, 60), mfc.trajectories.Hold(Q))
     assert abs(loop.validate(time=0.3, size=1e-4).taylor_order - 2.0) < 0.05
