@@ -101,9 +101,13 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     try:
         tried = candidates(along, scaled_basis(e, predicted), seed)
         radius, direction = _worst(runs, tried, 1e-6 * size)
-        largest = min(size, 0.25 * radius) if radius > 0 else size
-        sizes = largest * np.array([1.0, 0.5, 0.25])
+        sizes = _sizes(size, radius)
         here, *pairs = runs.compare([(direction, s) for s in (size, *sizes)], TIGHT)
+        found = np.inf if isinstance(here, str) else misfit(*here)
+        if size < (1 - CLOSE) * radius and not found <= MISFIT * (1 + CLOSE):  # it is larger here than at some larger sizes
+            radius = _radius(runs, direction, {size: found}, 1e-6 * size)
+            sizes = _sizes(size, radius)
+            pairs = runs.compare([(direction, s) for s in sizes], TIGHT)
     except _TooMuch as why:
         return _nothing(e, time, size, str(why), np.nan)
     if isinstance(here, str) and radius == 0:
@@ -250,6 +254,7 @@ def _worst(runs: _Disturbed, tried: list[Candidate], least: float) -> tuple[floa
 def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least: float) -> float:
     """Largest size with a misfit below ``MISFIT``, to ``CLOSE``; inf if it is up to ``LARGEST``, 0 if it is not even at ``least``.
 
+    Beyond a singularity the misfit may be small again, so some sizes below ``LARGEST`` are tried too.
     The misfit grows about in proportion to the size, so the next size tried is where it would be ``MISFIT``, once that is near with some more
     about it. Between two sizes that are near, a power of the size near the first gives the radius; else it is halved. ``known``: size -> misfit.
     """
@@ -261,7 +266,11 @@ def _radius(runs: _Disturbed, direction: Array, known: dict[float, float], least
         if high <= least:
             return 0.0
         if low >= LARGEST:
-            return np.inf
+            between = [s for s in (LARGEST / 2, LARGEST / 4, LARGEST / 8) if s not in known]
+            if not between:
+                return np.inf
+            known.update(zip(between, runs.misfits([(direction, s) for s in between]), strict=True))
+            continue
         if high <= (1 + CLOSE) * low:
             return low
         power = np.inf
@@ -289,6 +298,11 @@ def _about(size: float, among: tuple[int, int], low: float, high: float, least: 
     """A size, and some below and above, that are between known ones and within the sizes that are tried."""
     sizes = np.clip(size * (1 + APART) ** np.arange(among[0], among[1] + 1), least, LARGEST)
     return [float(s) for s in np.unique(sizes) if low < s < high]
+
+
+def _sizes(size: float, radius: float) -> Array:
+    """The sizes that give the Taylor order."""
+    return (min(size, 0.25 * radius) if radius > 0 else size) * np.array([1.0, 0.5, 0.25])
 
 
 def _nothing(e: Equations, time: float, size: float, why: str, radius: float = 0.0) -> Validation:
