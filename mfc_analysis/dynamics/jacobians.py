@@ -8,6 +8,7 @@ from the nominal reference: an external reference input changes the input of the
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -132,8 +133,15 @@ def matrix_at(equations: Equations, t: float, x: Array, *, lose_contact: LoseCon
     """A (nx, nx) as ``closed_matrix`` at one time [s] and state x (nx,): the batch of one would cost a tenth more."""
     if equations.law.needs_acceleration:
         return np.asarray(closed_matrix(equations, np.full(1, t), x[None], lose_contact=lose_contact)[0], float)
-    flow = equations.flow(t, Seed(x, 0, equations.nx), lose_contact=lose_contact)
+    flow = equations.flow(t, Seed(x, 0, equations.nx, _identity(equations.nx)), lose_contact=lose_contact)
     return _finite(_tangent(equations.join(flow.rates), x.shape, equations.nx))
+
+
+@cache
+def _identity(n: int) -> Array:
+    out = np.eye(n)
+    out.flags.writeable = False  # shared
+    return out
 
 
 def open_system(

@@ -29,11 +29,6 @@ class Calls:
         self.plain = self.order is None and robot.model.nq == robot.model.nv  #: True where Pinocchio takes the user's vectors as they are
         self.zero = np.zeros(self.n)
 
-    def single(self, q: Vector, v: Vector, a: Vector) -> bool:
-        """True for plain vectors (n,) of one point that Pinocchio takes as they are."""
-        one = np.ndarray
-        return self.plain and type(q) is one and type(v) is one and type(a) is one and q.ndim == v.ndim == a.ndim == 1
-
     def configurations(self, q: Array) -> Array:
         """Pinocchio's configurations (m, nq) of joint positions (..., n)."""
         return np.ascontiguousarray(q if self.plain else self.robot.configuration(q)).reshape(-1, self.model.nq)
@@ -96,6 +91,12 @@ def _lead(q: Array, more: tuple[Array | None, ...]) -> tuple[int, ...]:
     if all(x is None or x.ndim == 1 or x.shape[:-1] == lead for x in more):
         return lead
     return np.broadcast_shapes(lead, *(x.shape[:-1] for x in more if x is not None))
+
+
+def one_point(q: Vector, v: Vector, a: Vector) -> bool:
+    """True for plain vectors (n,): those of one point, which Pinocchio takes as they are where the robot is ``plain``."""
+    plain = np.ndarray
+    return type(q) is plain and type(v) is plain and type(a) is plain and q.ndim == v.ndim == a.ndim == 1
 
 
 @cache

@@ -64,8 +64,9 @@ class Configuration:
         points = of.configurations(self.q)
         J = np.empty((len(points), 6, of.n))
         each = J if of.n > 1 else J[..., 0]  # as Pinocchio gives it
+        jacobian, local = pin.computeFrameJacobian, pin.LOCAL
         for i, at in enumerate(points):
-            each[i] = pin.computeFrameJacobian(model, data, at, frame, pin.LOCAL)
+            each[i] = jacobian(model, data, at, frame, local)
         return of.unordered(J).reshape(*self.q.shape[:-1], 6, of.n)
 
     def bracketed(self, x: Array) -> Array:

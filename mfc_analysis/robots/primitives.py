@@ -16,7 +16,7 @@ from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.dual import Dual, Vector, chain, elementwise, matvec, times, value
 from mfc_analysis.maths.se3 import Pose
 from mfc_analysis.robots.brackets import bracketed, jacobian_dot_derivatives, transposed_derivative
-from mfc_analysis.robots.calls import Calls, symmetric
+from mfc_analysis.robots.calls import Calls, one_point, symmetric
 from mfc_analysis.robots.configuration import Configuration
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ class Primitives:
         self._calls = Calls(robot)
         self._model = self._calls.model
         self._data = self._calls.data
+        self._plain = self._calls.plain
         self._still = robot.model.copy()  # the same arm without gravity: M x = rnea(q, 0, x)
         self._still.gravity = pin.Motion.Zero()
         self._still_data = self._still.createData()
@@ -71,7 +72,7 @@ class Primitives:
 
     def rnea(self, q: Vector, v: Vector, a: Vector) -> Array | Dual:
         """M(q) a + C(q, v) v + g(q) [Nm or N], without friction: equation 9.7."""
-        if self._calls.single(q, v, a):
+        if self._plain and one_point(q, v, a):
             return np.array(pin.rnea(self._model, self._data, q, v, a))
         qs, vs, accelerations = value(q), value(v), value(a)
         if not (isinstance(q, Dual) or isinstance(v, Dual) or isinstance(a, Dual)):
@@ -94,7 +95,7 @@ class Primitives:
 
     def aba(self, q: Vector, v: Vector, tau: Vector) -> Array | Dual:
         """q'' = M(q)^-1 (tau - C v - g), without friction: equation 9.7 solved."""
-        if self._calls.single(q, v, tau):
+        if self._plain and one_point(q, v, tau):
             return np.array(pin.aba(self._model, self._data, q, v, tau))
         qs, vs, taus = value(q), value(v), value(tau)
         if not (isinstance(q, Dual) or isinstance(v, Dual) or isinstance(tau, Dual)):
