@@ -133,8 +133,13 @@ def matrix_at(equations: Equations, t: float, x: Array, *, lose_contact: LoseCon
     """A (nx, nx) as ``closed_matrix`` at one time [s] and state x (nx,): the batch of one would cost a tenth more."""
     if equations.law.needs_acceleration:
         return np.asarray(closed_matrix(equations, np.full(1, t), x[None], lose_contact=lose_contact)[0], float)
-    flow = equations.flow(t, Seed(x, 0, equations.nx, _identity(equations.nx)), lose_contact=lose_contact)
-    return _finite(_tangent(equations.join(flow.rates), x.shape, equations.nx))
+    nx = equations.nx
+    flow, A = equations.flow(t, Seed(x, 0, nx, _identity(nx)), lose_contact=lose_contact), np.zeros((nx, nx))
+    for name, (where, _) in equations.parts.items():
+        rate = flow.rates[name]
+        if isinstance(rate, Dual):
+            A[where] = rate.tangent
+    return _finite(A)
 
 
 @cache

@@ -64,9 +64,9 @@ class Gain:
         return self.array is not None
 
     def __matmul__(self, x: Vector | None) -> Array | Dual | float:
-        if self.array is None or x is None:
-            return 0.0
-        return matvec(self.array, x) if self._factor is None else x * self._factor
+        if x is not None and self._factor is not None:
+            return x * self._factor
+        return 0.0 if x is None or self.array is None else matvec(self.array, x)
 
     def check(self, size: int, what: str) -> None:
         """Raises BadArgument unless this gain acts on vectors of ``size`` (``what``: 'joints', 'twist')."""

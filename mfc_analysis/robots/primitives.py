@@ -38,6 +38,8 @@ class Primitives:
         self._model = self._calls.model
         self._data = self._calls.data
         self._plain = self._calls.plain
+        self._of_rnea = (self._data.tau, self._data.dtau_dq, self._data.dtau_dv, self._data.M)  # views of what the derivatives of rnea and
+        self._of_aba = (self._data.ddq, self._data.ddq_dq, self._data.ddq_dv, self._data.Minv)  # aba leave in Pinocchio's Data
         self._still = robot.model.copy()  # the same arm without gravity: M x = rnea(q, 0, x)
         self._still.gravity = pin.Motion.Zero()
         self._still_data = self._still.createData()
@@ -80,9 +82,7 @@ class Primitives:
         if not isinstance(q, Dual) and not isinstance(v, Dual):
             M = self.at(qs).M
             return chain(self._calls.each(pin.rnea, qs, vs, accelerations), (lambda: M, a))
-        data = self._data
-        views = (data.tau, data.dtau_dq, data.dtau_dv, data.M)
-        tau, dq, dv, da = self._calls.collect(pin.computeRNEADerivatives, self._model, data, views, qs, vs, accelerations)
+        tau, dq, dv, da = self._calls.collect(pin.computeRNEADerivatives, self._model, self._data, self._of_rnea, qs, vs, accelerations)
         return chain(tau, (lambda: dq, q), (lambda: dv, v), (lambda: symmetric(da), a))
 
     def inverse_dynamics(self, q: Vector, v: Vector, a: Vector) -> Array | Dual:
@@ -100,9 +100,7 @@ class Primitives:
         qs, vs, taus = value(q), value(v), value(tau)
         if not (isinstance(q, Dual) or isinstance(v, Dual) or isinstance(tau, Dual)):
             return self._calls.each(pin.aba, qs, vs, taus)
-        data = self._data
-        views = (data.ddq, data.ddq_dq, data.ddq_dv, data.Minv)
-        a, dq, dv, inverse = self._calls.collect(pin.computeABADerivatives, self._model, data, views, qs, vs, taus)
+        a, dq, dv, inverse = self._calls.collect(pin.computeABADerivatives, self._model, self._data, self._of_aba, qs, vs, taus)
         return chain(a, (lambda: dq, q), (lambda: dv, v), (lambda: symmetric(inverse), tau))
 
     def mass(self, q: Vector, x: Vector) -> Array | Dual:
