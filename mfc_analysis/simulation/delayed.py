@@ -185,20 +185,22 @@ class _LateSignals:
         """The command at the nodes t; where the plant is apart the law's own part of ``states`` there becomes the integral of its rates."""
         run, e = self.run, self.run.equations
         each = t if states.ndim == 2 else np.repeat(t[:, None], states.shape[1], axis=1)
-        for repeated in range(1, REPEATED + 1):
+        repeated = 0
+        while True:
             with timed(each):
                 s = e.split(states)
                 action, changes = e.control(each, s, e.touch(s, lose_contact=run.lose_contact).wrench, wires, Inputs())
             if not self.apart or not self.own.size:
-                break
+                return action.command
             before = states[..., self.own]
             found = before[:1] + length * combined(INTEGRALS, e.state_rates(changes, states.shape[:-1])[..., self.own])
             states[..., self.own] = found
             if np.abs(found - before).max() <= AGREED * (run.options["atol"] + run.options["rtol"] * np.abs(found).max()):
-                break
+                return action.command
+            repeated += 1
             if repeated == REPEATED:
                 run.stop(Outcome.SOLVER, float(t[0]), "the states of the law do not converge within the dead time")
-        return action.command
+                return action.command
 
 
 def segments(start: float, end: float, delays: list[float]) -> Iterator[tuple[float, float]]:
