@@ -37,8 +37,6 @@ class Along:
 
     def A(self, t: Array) -> Array:
         """(m, nx, nx) at times t (m,) [s]."""
-        if self.still:
-            return np.broadcast_to(closed_matrix(self.e, self.t[:1], self.base.x[:1]), (len(t), self.e.nx, self.e.nx))
         if self._series is None:
             return closed_matrix(self.e, t, self.base.state(t))
         return np.asarray(self._powers(t, len(self._series) - 1) @ self._series).reshape(len(t), self.e.nx, self.e.nx)
@@ -53,8 +51,7 @@ class Along:
     @cached_property
     def Phi(self) -> Array:
         """(STEPS, nx, nx) transition matrices of the steps."""
-        smooth = self.still or self._series is not None
-        Phi = transitions(self.A, self.t[:2] if self.still else self.t, smooth=smooth)
+        Phi = transitions(self.A, self.t[:2] if self.still else self.t, smooth=self._series is not None)
         return np.broadcast_to(Phi, (STEPS, *Phi.shape[1:]))
 
     def steps(self, count: int) -> tuple[Array, Array]:
@@ -91,6 +88,8 @@ class Along:
     @cached_property
     def _series(self) -> Array | None:
         """(degree + 1, nx nx) coefficients of A(t); None where no degree in ``DEGREES`` settles, or the run itself is not as smooth between."""
+        if self.still:
+            return closed_matrix(self.e, self.t[:1], self.base.x[:1]).reshape(1, -1)
         samples = np.empty((0, self.e.nx**2))
         for degree in DEGREES:
             t, known = self._points(degree), samples

@@ -82,7 +82,7 @@ def candidates(along: Along, basis: Array, seed: int) -> list[Candidate]:
         singular = np.linalg.svd(second.second.reshape(-1, k), full_matrices=False)[2]
         reached, where = second.maxima(np.array([*(_on_box(c, n) for c in singular[:n]), *starts]), n)
         maxima = _signed([(float(np.exp(-largest)), c) for largest, c in _distinct(reached, where)])
-        out = _worst(Follower(along, basis, both), second, maxima, starts, n)
+        out = _worst_of(Follower(along, basis, both), second, maxima, starts, n)
     out += [(np.inf, c) for c in _first_limits(along, basis)]
     return [Candidate(basis @ c, reach) for reach, c in out]
 
@@ -91,7 +91,7 @@ def _signed(ranked: list[Ranked]) -> list[Ranked]:
     return [(reach, sign * c) for reach, c in ranked for sign in (1.0, -1.0)]
 
 
-def _worst(follower: Follower, second: SecondOrder, maxima: list[Ranked], others: Array, n: int) -> list[Ranked]:
+def _worst_of(follower: Follower, second: SecondOrder, maxima: list[Ranked], others: Array, n: int) -> list[Ranked]:
     """The directions with the largest misfits of the nonlinear response.
 
     Where the second order gives the misfits of its ``maxima``, the largest of these. Else what a search on the nonlinear response finds from the
