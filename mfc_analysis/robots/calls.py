@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from functools import cache
+from functools import cache, cached_property
 from itertools import repeat
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
 
 
+#: functions that take many points, a column each
+MANY: dict[Callable[..., Array], Callable[..., Array]] = {pin.rnea: pin.rneaInParallel, pin.aba: pin.abaInParallel} if pin.WITH_OPENMP else {}
+
+
 class Calls:
     """Calls of Pinocchio for one robot. Not thread-safe: every call overwrites its Pinocchio Data."""
 
@@ -29,6 +33,10 @@ class Calls:
         self.plain = self.order is None and robot.model.nq == robot.model.nv  #: True where Pinocchio takes the user's vectors as they are
         self.zero = np.zeros(self.n)
 
+    @cached_property
+    def _pool(self) -> pin.ModelPool:
+        return pin.ModelPool(self.model, 1)
+
     def configurations(self, q: Array) -> Array:
         """Pinocchio's configurations (m, nq) of joint positions (..., n)."""
         return np.ascontiguousarray(q if self.plain else self.robot.configuration(q)).reshape(-1, self.model.nq)
@@ -39,9 +47,12 @@ class Calls:
         if q.ndim == 1 and self.order is None and all(x.ndim == 1 for x in more):
             return np.array(call(model, data, q if self.plain else self.robot.configuration(q), *more))
         lead, columns = self._columns(q, more)
-        out = np.empty((math.prod(lead), size or self.n))
-        for i, at in enumerate(zip(*columns, strict=False)):
-            out[i] = call(model, data, *at)
+        if many := MANY.get(call):
+            out = many(1, self._pool, *(np.asarray(x).T for x in columns)).T.reshape(-1, self.n)  # of one point or one joint it is a vector
+        else:
+            out = np.empty((math.prod(lead), size or self.n))
+            for i, at in enumerate(zip(*columns, strict=False)):
+                out[i] = call(model, data, *at)
         return (out if self.order is None or size else out[:, self.back]).reshape(*lead, out.shape[-1])
 
     def _columns(self, q: Array, more: tuple[Array | None, ...]) -> tuple[tuple[int, ...], list[Iterable[Array]]]:

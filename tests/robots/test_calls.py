@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mfc_analysis.maths.dual import Dual
+from mfc_analysis.robots import calls
 from mfc_analysis.robots.calls import symmetric
 from mfc_analysis.robots.primitives import Primitives
 from tests.conftest import arm, plant, seed
@@ -20,6 +22,18 @@ def test_batches_of_any_shape_are_points_one_by_one() -> None:
     assert_allclose(found[1, 2], P.aba(q[1, 2], v[1, 2], a[1, 2]), atol=1e-12)
     spread = P.rnea(q[0, 0], v[0], a[0])  # one pose, several velocities
     assert_allclose(spread[3], P.rnea(q[0, 0], v[0, 3], a[0, 3]), atol=1e-12)
+
+
+@pytest.mark.parametrize("robot", [plant("panda"), plant("kinova"), plant("single_joint"), REORDERED], ids=str)
+def test_many_points_in_one_call_of_pinocchio_are_the_points_one_by_one(robot, monkeypatch) -> None:
+    """Also where Pinocchio was built without that call; and no point is no call."""
+    P, rng = Primitives(robot), np.random.default_rng(6)
+    q, v, x = rng.uniform(-1, 1, (3, 5, P.n))
+    found = P.rnea(q, v, x), P.aba(q, v, x)
+    assert P.aba(q[:0], v[:0], x[:0]).shape == (0, P.n)
+    monkeypatch.setattr(calls, "MANY", {})
+    for together, apart in zip(found, (P.rnea(q, v, x), P.aba(q, v, x)), strict=True):
+        assert_allclose(together, apart, rtol=1e-12, atol=1e-10)
 
 
 def test_what_was_returned_stays_when_the_next_point_is_evaluated() -> None:
