@@ -274,7 +274,7 @@ class ClosedLoop:
 
         return nonlinear_system(self.equations)
 
-    def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0) -> Validation:
+    def validate(self, time: float = 1.0, size: float = 1e-2, seed: int = 0, n_jobs: int | None = None) -> Validation:
         """Compares linear prediction and nonlinear simulation over ``time`` [s], from the operating point disturbed by ``size`` [rad, m].
 
         The disturbance is the worst one found. The search starts from the directions in which the linear model fails first to second order, with
@@ -285,12 +285,14 @@ class ClosedLoop:
         Args:
             time: [s] of the runs. size: [rad, m] of the disturbance.
             seed: of the random starts of the search, an integer >= 0; the radius depends on it by a few percent at most.
+            n_jobs: processes for the runs on one-sided surfaces, which are independent; None: set by ``joblib.parallel_config``, else one. The runs
+                of other loops are integrated together in one process. The numbers are the same.
 
         Raises BadArgument.
         """
         from mfc_analysis.simulation.validation import validate
 
-        return validate(self.equations, time, size, seed)
+        return validate(self.equations, time, size, seed, n_jobs)
 
     def __str__(self) -> str:
         extra = "" if not self.equations.surfaces else f", {len(self.equations.surfaces)} surface(s)"

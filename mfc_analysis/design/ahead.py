@@ -12,7 +12,7 @@ from itertools import chain, islice
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 from mfc_analysis.errors import MfcError
-from mfc_analysis.linearization.chunks import checked_jobs
+from mfc_analysis.maths import checks
 
 X = TypeVar("X", bound=Hashable)
 Y = TypeVar("Y")
@@ -40,7 +40,7 @@ class Ahead(Generic[X, Y]):
     ) -> None:
         import joblib
 
-        self.call, self.n_jobs, self.together = call, checked_jobs(n_jobs), together
+        self.call, self.n_jobs, self.together = call, checks.jobs(n_jobs), together
         self.workers = int(joblib.effective_n_jobs(cast(int, n_jobs)))  # it takes None, whatever its types say
         self.known: dict[X, _Answer] = {}
         self.told: dict[Any, Any] = {}  #: registry of the warnings given

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfc_analysis.errors import BadArgument, MfcWarning, require
-from mfc_analysis.linearization.chunks import checked_jobs
+from mfc_analysis.maths import checks
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -67,7 +67,7 @@ def evaluated(
     import joblib
     from joblib.parallel import get_active_backend
 
-    checked_jobs(n_jobs)
+    checks.jobs(n_jobs)
     points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
     streams = bool(getattr(get_active_backend()[0], "supports_return_generator", False))  # Dask, for example, does not
     parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator" if streams else "list")

@@ -11,21 +11,10 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from mfc_analysis.errors import BadArgument
-from mfc_analysis.maths import checks
-
-MOST_JOBS = 10_000
 EACH_POINT = ("slow_roots", "motion", "walks")  #: tuples with one entry for each point
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")
-
-
-def checked_jobs(n_jobs: int | None) -> int | None:
-    """A number of processes, -1 for one on each core, None: set by ``joblib.parallel_config``, else one. Raises BadArgument."""
-    if n_jobs is not None and checks.whole("n_jobs", n_jobs, -MOST_JOBS, MOST_JOBS) == 0:
-        raise BadArgument("n_jobs", n_jobs, "a number of processes, or -1 for one on each core")
-    return n_jobs
 
 
 def each(call: Callable[[Part], Result], parts: Iterator[Part], n_jobs: int | None) -> list[Result]:

@@ -19,7 +19,7 @@ from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import Coordinates, External, closed_matrix, closed_system, external, open_system, without_wires
 from mfc_analysis.dynamics.operating_point import CHUNK, OperatingPoint, chunks, nominal, residual
 from mfc_analysis.errors import BadArgument, MfcWarning, UnknownPoint, Unsupported
-from mfc_analysis.linearization.chunks import checked_jobs, each, joined
+from mfc_analysis.linearization.chunks import each, joined
 from mfc_analysis.linearization.decentralised import Decentralised, decentralised
 from mfc_analysis.linearization.start import chosen_coordinates, operating_points, start_at
 from mfc_analysis.maths import checks
@@ -175,7 +175,7 @@ class Linearization:
     def poles(self, n_jobs: int | None = None) -> Complex:
         """(m, nx) closed-loop poles [1/s] (z-plane with a sample time), slowest first; without dead time. ``n_jobs`` as ``margins``."""
         if self._many:
-            return np.concatenate(each(methodcaller("poles"), self._parts(), checked_jobs(n_jobs)))
+            return np.concatenate(each(methodcaller("poles"), self._parts(), checks.jobs(n_jobs)))
         return poles(self.reduced)
 
     @cached_property
@@ -304,7 +304,7 @@ class Linearization:
 
         at = self._at(at)
         if self._many:
-            parts: list[Margins] = each(methodcaller("margins", at), self._parts(), checked_jobs(n_jobs))
+            parts: list[Margins] = each(methodcaller("margins", at), self._parts(), checks.jobs(n_jobs))
             return joined(parts)
         return margins(self.opened_for(at), at, self.stability if self.opened.delayed else None)
 
@@ -317,7 +317,7 @@ class Linearization:
 
         points = tuple(self._at(one) for one in at) if isinstance(at, (list, tuple)) and at else (self._at(at),)
         if self._many:
-            parts: list[DiskMargin] = each(methodcaller("disk_margin", points, frequencies), self._parts(), checked_jobs(n_jobs))
+            parts: list[DiskMargin] = each(methodcaller("disk_margin", points, frequencies), self._parts(), checks.jobs(n_jobs))
             return joined(parts, bound=min(parts, key=lambda part: np.nan_to_num(part.worst()[0], nan=np.inf)).bound)
         grid = None if frequencies is None else checks.array("frequencies", frequencies, (None,))
         return disk_margin(self.opened_for(*points), points[0] if len(points) == 1 else points, grid)

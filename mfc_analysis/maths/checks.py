@@ -18,6 +18,8 @@ Kind = TypeVar("Kind")
 #: kinds of Python and numpy objects that numpy would read as real numbers
 _NOT_REAL = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.datetime64, np.timedelta64)
 
+MOST_JOBS = 10_000
+
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 
@@ -60,6 +62,13 @@ def whole(argument: str, value: Any, low: int, high: int, takes: str | None = No
     if isinstance(value, _NOT_REAL) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
         raise BadArgument(argument, value, takes or f"a whole number from {low} to {high}")
     return int(value)
+
+
+def jobs(n_jobs: int | None) -> int | None:
+    """A number of processes, -1 for one on each core, None: set by ``joblib.parallel_config``, else one. Raises BadArgument."""
+    if n_jobs is not None and whole("n_jobs", n_jobs, -MOST_JOBS, MOST_JOBS) == 0:
+        raise BadArgument("n_jobs", n_jobs, "a number of processes, or -1 for one on each core")
+    return n_jobs
 
 
 def decimal(text: str) -> float | None:

@@ -8,6 +8,7 @@ The disturbances are those that the linear model predicts worst (``directions``)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,14 +80,14 @@ class Validation(Shown):
     __repr__ = __str__
 
 
-def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
+def validate(e: Equations, time: float, size: float, seed: int, n_jobs: int | None = None) -> Validation:
     """Implements ``ClosedLoop.validate`` for the equations ``e`` of the loop. Other arguments as there.
 
     Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is not an integer from 0 to 2^64 - 1.
     """
     time = checks.number("time", time, low=0.0, strict=True)
     size = checks.number("size", size, low=1e-8)
-    seed = checks.whole("seed", seed, 0, 2**64 - 1)
+    seed, n_jobs = checks.whole("seed", seed, 0, 2**64 - 1), checks.jobs(n_jobs)
     x0 = on_reference(e, np.zeros(1)).x[0]
     t = _grid(e, time)
     base = motion(e, t, x0, **TIGHT)
@@ -96,7 +97,7 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
     predicted = _predict(along, t)
     if not np.isfinite(predicted).all():
         return _nothing(e, time, size, "the response of the linear model overflows")
-    runs = _Disturbed(e, base, predicted[:, q], int(WORK * most_evaluations(e)))
+    runs = _Disturbed(e, base, predicted[:, q], int(WORK * most_evaluations(e)), n_jobs)
 
     try:
         tried = candidates(along, scaled_basis(e, predicted), seed)
@@ -126,8 +127,8 @@ def validate(e: Equations, time: float, size: float, seed: int) -> Validation:
 class _Disturbed:
     """Runs from disturbed starts, together where that is possible, and what the linear model predicts for them."""
 
-    def __init__(self, e: Equations, base: Motion, predicted: Array, allowed: int) -> None:
-        self.e, self.base, self.predicted = e, base, predicted  #: predicted: (N, n, nx)
+    def __init__(self, e: Equations, base: Motion, predicted: Array, allowed: int, n_jobs: int | None) -> None:
+        self.e, self.base, self.predicted, self.n_jobs = e, base, predicted, n_jobs  #: predicted: (N, n, nx)
         self.allowed, self.left = allowed, max(allowed - float(base.evaluations), 1.0)  #: evaluations
         self.alone = any(s.one_sided for s in e.surfaces)  #: each run has its own contact
 
@@ -157,10 +158,9 @@ class _Disturbed:
 
     def _runs(self, starts: Array, options: dict[str, Any]) -> list[Array | str]:
         """States (N, nx) of the runs from the starts (k, nx). Where one of them stops, halves of them run again, in the end each alone."""
-        half = len(starts) // 2
-        if not half:
-            return [self._run(starts[0], options)]
-        x = None if self.alone else self._stacked(starts, options)
+        if self.alone or len(starts) == 1:
+            return self._each_alone(starts, options)
+        x, half = self._stacked(starts, options), len(starts) // 2
         return list(x) if x is not None else self._runs(starts[:half], options) + self._runs(starts[half:], options)
 
     def _stacked(self, starts: Array, options: dict[str, Any]) -> Array | None:
@@ -168,18 +168,31 @@ class _Disturbed:
         self._spend(spent, outcome)
         return x
 
-    def _run(self, start: Array, options: dict[str, Any]) -> Array | str:
-        try:
-            run = motion(self.e, self.base.t, start, max_evaluations=int(self.left), **options)
-        except MfcError as why:
-            return str(why)
-        self._spend(run.evaluations, run.outcome)
-        return run.message if run.diverged else run.x
+    def _each_alone(self, starts: Array, options: dict[str, Any]) -> list[Array | str]:
+        """``_runs`` one by one, or as many at a time as there are processes."""
+        import joblib
+
+        out, workers = [], joblib.effective_n_jobs(self.n_jobs)
+        for first in range(0, len(starts), workers):
+            run, some = partial(_run, self.e, self.base.t, int(self.left), options), starts[first : first + workers]
+            for x, evaluations, outcome in joblib.Parallel(self.n_jobs if len(some) > 1 else 1)(map(joblib.delayed(run), some)):
+                self._spend(evaluations, outcome)
+                out.append(x)
+        return out
 
     def _spend(self, evaluations: float, outcome: Outcome) -> None:
-        self.left = max(self.left - evaluations, 1.0)
-        if outcome is Outcome.STOPPED:
+        if outcome is Outcome.STOPPED or evaluations > self.left:
             raise _TooMuch(f"the runs take more than {self.allowed} evaluations of the equations; a shorter time= takes fewer")
+        self.left = max(self.left - evaluations, 1.0)
+
+
+def _run(e: Equations, t: Array, most: int, options: dict[str, Any], start: Array) -> tuple[Array | str, int, Outcome]:
+    """States (N, nx) of one run, or why it does not reach its end; its evaluations and how it ended."""
+    try:
+        run = motion(e, t, start, max_evaluations=most, **options)
+    except MfcError as why:
+        return str(why), 0, Outcome.REFUSED
+    return run.message if run.diverged else run.x, run.evaluations, run.outcome
 
 
 def _loose(cases: list[Case]) -> dict[str, Any]:

@@ -12,8 +12,9 @@ from numpy.testing import assert_array_equal
 import mfc_analysis as mfc
 from mfc_analysis.dynamics.operating_point import CHUNK, chunks
 from mfc_analysis.errors import BadArgument
-from mfc_analysis.linearization.chunks import checked_jobs, joined
+from mfc_analysis.linearization.chunks import joined
 from mfc_analysis.linearization.linearization import Linearization
+from mfc_analysis.maths import checks
 
 Q0 = [0.3, -1.2, 1.5, -0.8, -1.4, 0.2]
 TIMES = np.linspace(0, 4, 2 * CHUNK + 3)
@@ -78,6 +79,6 @@ def test_operating_points_come_in_chunks_in_their_order():
 @pytest.mark.parametrize("wrong", [0, 1.5, "two", True])
 def test_a_number_of_processes_is_a_whole_number_but_zero(wrong):
     with pytest.raises(BadArgument, match="n_jobs"):
-        checked_jobs(wrong)
+        checks.jobs(wrong)
     with pytest.raises(BadArgument, match="n_jobs"):
         pressing().poles(n_jobs=wrong)

@@ -233,3 +233,16 @@ def test_the_largest_stable_sample_time_of_a_ur5_is_where_sampled_runs_turn(shar
     away = np.abs(run.q - rest[:6]).max(axis=1)
     assert (away[-5:].max() < 1e-7) == decays
     assert decays or run.diverged or away[-5:].max() > 1e-3
+
+
+def test_runs_on_a_one_sided_surface_in_two_processes_give_the_same_numbers():
+    """Each run makes and loses contact by itself, so they are not integrated together."""
+    wall = mfc.Environment(1e4, 50.0, pose=UR5.pose(Q), axes="z", preload=10.0, one_sided=True)
+    law = mfc.laws.HybridMotionForce([0, 0, 10, 0, 0, 0], 100, None, 20, 0.5, 2.0, 30, constraints=np.eye(6)[[2]])
+    loop = mfc.ClosedLoop(UR5, law, mfc.trajectories.ToolHold(UR5.pose(Q)), q_start=Q, environment=wall)
+    one, two = loop.validate(0.1, 1e-4), loop.validate(0.1, 1e-4, n_jobs=2)
+    assert 0 < one.radius < np.inf
+    assert (two.radius, two.nrmse, two.taylor_order) == (one.radius, one.nrmse, one.taylor_order)
+    assert np.array_equal(two.direction, one.direction) and np.array_equal(two.nonlinear, one.nonlinear)
+    with pytest.raises(BadArgument, match="n_jobs"):
+        loop.validate(0.1, n_jobs=0)
