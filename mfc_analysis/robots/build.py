@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfc_analysis.errors import BadArgument, BadRobot, MfcWarning, UnknownName
 from mfc_analysis.maths import checks
-from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.arrays import Array, Ints
 
 Locked = str | Sequence[str] | Mapping[str, float] | None
 
@@ -133,8 +133,9 @@ def check_masses(model: pin.Model) -> None:
     data = model.createData()
     rng = np.random.default_rng(9)
     best, worst, diagonal = -np.inf, np.inf, np.full(model.nv, -np.inf)
+    where = places(model)
     for _ in range(4):  # a valid mass matrix may be singular at one configuration, not at four
-        M = upper_to_full(pin.crba(model, data, configuration(model, rng.uniform(-2.0, 2.0, model.nv))))
+        M = upper_to_full(pin.crba(model, data, configuration(where, rng.uniform(-2.0, 2.0, model.nv))))
         if not np.isfinite(M).all():
             raise BadRobot(f"the mass matrix of {model.name!r} is not finite: a mass, an inertia or a length is too large")
         diagonal = np.maximum(diagonal, np.diag(M))
@@ -233,13 +234,14 @@ def upper_to_full(M: Array) -> Array:
     return np.asarray(np.triu(M) + np.triu(M, 1).T)
 
 
-def configuration(model: pin.Model, angles: Array) -> Array:
-    """(..., nq) Pinocchio's configuration at angles (..., nv) in its own order: (cos, sin) for a continuous joint."""
-    out = np.empty((*angles.shape[:-1], model.nq))
+def places(model: pin.Model) -> Ints:
+    """(nq,) what Pinocchio's configuration is made of: places in the angles (nv,), their cosines and their sines, one after the other."""
+    out = np.empty(model.nq, int)
     for j in list(model.joints)[1:]:
-        angle = angles[..., j.idx_v]
-        if j.nq == 1:
-            out[..., j.idx_q] = angle
-        else:
-            out[..., j.idx_q], out[..., j.idx_q + 1] = np.cos(angle), np.sin(angle)
+        out[j.idx_q : j.idx_q + j.nq] = j.idx_v if j.nq == 1 else (model.nv + j.idx_v, 2 * model.nv + j.idx_v)
     return out
+
+
+def configuration(where: Ints, angles: Array) -> Array:
+    """(..., nq) Pinocchio's configuration at angles (..., nv) in its own order: (cos, sin) for a continuous joint. ``where``: its ``places``."""
+    return np.concatenate([angles, np.cos(angles), np.sin(angles)], axis=-1)[..., where]

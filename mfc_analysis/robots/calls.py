@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.dual import Vector, spread
+from mfc_analysis.robots.build import configuration, places
 
 if TYPE_CHECKING:
     from mfc_analysis.robots.robot import Robot
@@ -32,6 +33,7 @@ class Calls:
         self.order = None if np.array_equal(self.back, np.arange(self.n)) else np.argsort(self.back)
         self.plain = self.order is None and robot.model.nq == robot.model.nv  #: True where Pinocchio takes the user's vectors as they are
         self.zero = np.zeros(self.n)
+        self._places = places(robot.model)
 
     @cached_property
     def _pool(self) -> pin.ModelPool:
@@ -39,13 +41,16 @@ class Calls:
 
     def configurations(self, q: Array) -> Array:
         """Pinocchio's configurations (m, nq) of joint positions (..., n)."""
-        return np.ascontiguousarray(q if self.plain else self.robot.configuration(q)).reshape(-1, self.model.nq)
+        return np.ascontiguousarray(q if self.plain else self._configuration(q)).reshape(-1, self.model.nq)
+
+    def _configuration(self, q: Array) -> Array:
+        return configuration(self._places, q if self.order is None else q[..., self.order])
 
     def each(self, call: Callable[..., Array], q: Array, *more: Array, size: int | None = None) -> Array:
         """A function of (model, data, q, ...) with Pinocchio, at every point: its values (n,), or ``size`` of them that belong to no joint."""
         model, data = self.model, self.data
         if q.ndim == 1 and self.order is None and all(x.ndim == 1 for x in more):
-            return np.array(call(model, data, q if self.plain else self.robot.configuration(q), *more))
+            return np.array(call(model, data, q if self.plain else self._configuration(q), *more))
         lead, columns = self._columns(q, more)
         if many := MANY.get(call):
             out = many(1, self._pool, *(np.asarray(x).T for x in columns)).T.reshape(-1, self.n)  # of one point or one joint it is a vector

@@ -292,7 +292,7 @@ class Robot:
 
     def configuration(self, q: ArrayLike) -> Array:
         """(..., nq) Pinocchio's configuration at angles q (..., n): its order of joints, (cos, sin) for a continuous joint."""
-        return build.configuration(self.model, self.to_model(self._joints("q", q)))
+        return build.configuration(build.places(self.model), self.to_model(self._joints("q", q)))
 
     def to_model(self, x: ArrayLike) -> Array:
         """(..., n) a vector x from the user's joint order to Pinocchio's."""
