@@ -31,7 +31,7 @@ QUINTIC_TOP_SPEED = 1.875  #: top speed of a quintic over its mean speed
 SLOWEST, FASTEST = 1e-2, 1e6  #: [deg/s] target velocities
 LONGEST = 1e4  #: [s] of a run
 LARGEST = 1e12  #: [m, N] of exercise 9.4
-MOST = 20_000  #: evaluations of a run: about 2 s
+MOST = 20_000  #: evaluations of a run: about half a second
 SETTLED = 0.02  #: settling band, a fraction of the motion
 GRAVITY = 9.81  #: [m/s^2]
 

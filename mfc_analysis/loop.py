@@ -245,7 +245,7 @@ class ClosedLoop:
             integral: 0, "trimmed" or the integral state. force_integral: 0 or the integral of the force error [N s, Nm s], scalar or (6,).
             actuator: (n,) torque or velocity that the actuators with a lag or servo give at the start; None: the one commanded there.
             x: (nx,) the full start state, in place of all of these. rtol, atol: tolerances of ``solve_ivp``. method: of ``solve_ivp``.
-            max_evaluations: largest number of evaluations of the equations; None: about 10 s of work, 100 000 for a joint law without surfaces,
+            max_evaluations: largest number of evaluations of the equations; None: about 10 s of work, 400 000 for a joint law without surfaces,
                 fewer where one takes longer. A Jacobian counts as 4, the plant alone under a held command as 1/4, and the time of a solver
                 written in Python is added.
 

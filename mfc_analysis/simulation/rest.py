@@ -22,7 +22,7 @@ from mfc_analysis.maths.arrays import Array
 NEAR = 0.25  #: [rad, m] sag up to which a rest point that Newton finds is taken without a simulation
 ALONG = (0.0, 0.5, 1.0, 1.5, 2.0)  #: of the sag: the loop must hold there, out to where an undamped joint swings
 LONGEST = 200.0  #: [s] of the simulation
-SHARE = 5  #: the simulation takes a share of 1/5 of the evaluations that a run may take
+SHARE = 20  #: the simulation takes a share of 1/20 of the evaluations that a run may take
 STILL = 1e-3  #: [rad/s, m/s] largest velocity at the end of a simulation that has come to rest
 CLOSE = 1e-2  #: [rad, m] largest distance of its end from the rest point that Newton makes of it
 LEFT = "unstable: the loop leaves it at the smallest disturbance"

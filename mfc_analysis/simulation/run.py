@@ -32,7 +32,7 @@ FAR = 1e4  #: [rad, m, rad/s, m/s] above this position or velocity a run has div
 FASTEST = 1e15  #: [1/s of any state] above this rate the solver would not finish
 
 
-MOST = 100_000  #: evaluations that a run takes at most for a joint law without surfaces: about 10 s of work
+MOST = 400_000  #: evaluations that a run takes at most for a joint law without surfaces: about 10 s of work
 
 
 COST = {"joint": 1.0, "tool": 5.0, "tool force": 12.0, "push": 1.5, "turn": 3.5}  #: time of an evaluation by the law, and that of each surface

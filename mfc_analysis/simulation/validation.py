@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from mfc_analysis.plots.figure import Axes
 
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
-WORK = 3.0  #: times the evaluations that one run may take, for all runs of a validation: about 15 s of work
+WORK = 1.5  #: times the evaluations that one run may take, for all runs of a validation: about 15 s of work
 REGULAR, LEAST = 0.05, 1e-2  #: agreement of two slopes of a remainder below the solver's error, and the part of that error it exceeds
 CLOSE = 0.01  #: relative accuracy of the radius
 APART = 0.03  #: relative distance of the sizes that are run together

@@ -92,7 +92,7 @@ def test_a_run_stops_at_its_limit_on_work_keeps_what_it_has_and_says_how_far_it_
 
 
 def test_a_run_with_a_dead_time_of_a_microsecond_ends_although_nobody_sets_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run, "MOST", 2000)  # 100 000 take about 10 s
+    monkeypatch.setattr(run, "MOST", 2000)  # 400 000 take about 10 s
     loop = ClosedLoop(plant("planar_2r"), L.JointPID(300.0, 40.0, 50.0), moving("planar_2r"), hardware=Hardware(delay=1e-6))
     sim = loop.simulate(1.0)
     assert sim.outcome is Outcome.STOPPED and 1e-4 < sim.end < 1e-2
