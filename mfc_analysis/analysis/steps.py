@@ -153,6 +153,8 @@ class Steps:
 
     def __getitem__(self, where: tuple[int, int | str, int | str]) -> Step:
         """One response, by its point, output and input (numbers or names). Raises ``BadArgument`` and ``UnknownName``."""
+        if not isinstance(where, tuple) or len(where) != 3:
+            raise BadArgument("index", where, "a point, an output and an input")
         i = _index(self.system, where[0])
         o, j = _number("output", where[1], self.outputs), _number("input", where[2], self.inputs)
         y = self.y[i, o, j] if "y" in self.__dict__ else step_samples(between(self.system.at(np.array([i])), [j], [o]), self.t)[0, 0, 0]

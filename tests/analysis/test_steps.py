@@ -342,3 +342,10 @@ def test_a_response_with_dead_time_is_shown_as_far_as_its_steps_go(monkeypatch):
     says = r"step d -> y: not settled after .* s, as far as \d+ steps go with a dead time of 0.001 s; the slowest root has a time constant of 1.053 s"
     with pytest.raises(NotConverged, match=says):
         step(system, 0, "d", "y")
+
+
+@pytest.mark.parametrize("where", [0, (0, 0), (0, 0, 0, 0)])
+def test_an_index_that_is_not_three_numbers_is_refused_by_name(where):
+    found = ur5(*LOOPS["wrong model"], [0.3]).steps(np.linspace(0.0, 1.0, 3))
+    with pytest.raises(BadArgument, match="index"):
+        found[where]
