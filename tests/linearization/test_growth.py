@@ -51,3 +51,34 @@ def test_growth_takes_two_times_and_no_dead_time_without_sampling() -> None:
         transient_growth(np.zeros(1), 0.0, lambda t: np.zeros((len(t), 2, 2)))
     with pytest.raises(Unsupported, match="sample_time"):
         loop(delay=0.01).linearize(TIMES).transient_growth()
+
+
+def test_growth_past_a_torque_limit_is_that_of_steps_cut_where_the_limit_begins_and_ends() -> None:
+    lin = loop(torque_limit=9.0).linearize(TIMES)
+    n, fine = lin.A.shape[1], np.linspace(0, 1.5, 601)
+
+    def A(t: float) -> np.ndarray:
+        return np.asarray(lin.again(np.array([t])).A[0])
+
+    cuts = [0.0]
+    at = lin.again(fine).A
+    for k in np.flatnonzero(np.abs(np.diff(at, axis=0)).max(axis=(1, 2)) > 5):
+        low, high, first = fine[k], fine[k + 1], at[k]
+        while high - low > 1e-9:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if np.abs(A(middle) - first).max() < 4 else (low, middle)
+        cuts += [low]
+    phi = np.eye(n)
+    assert len(cuts) > 2  # the limit acts for a part of the path
+    for low, high in zip(cuts, [*cuts[1:], 1.5], strict=True):
+        inside = (low + 2e-9, high - 2e-9)
+        run = solve_ivp(
+            lambda t, y, i=inside: (A(float(np.clip(t, *i))) @ y.reshape(n, n)).ravel(),
+            (low, high),
+            phi.ravel(),
+            rtol=1e-10,
+            atol=1e-12,
+            method="DOP853",
+        )
+        phi = run.y[:, -1].reshape(n, n)
+    assert_allclose(lin.transient_growth().singular[-1], np.linalg.norm(phi, 2), rtol=1e-6)
