@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -83,7 +83,7 @@ class Validation(Shown):
 def validate(e: Equations, time: float, size: float, seed: int, n_jobs: int | None = None) -> Validation:
     """Implements ``ClosedLoop.validate`` for the equations ``e`` of the loop. Other arguments as there.
 
-    Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is not an integer from 0 to 2^64 - 1.
+    Raises BadArgument for a time that is not positive, a size below 1e-8, a seed that is not an integer from 0 to 2^64 - 1, and for ``n_jobs`` 0.
     """
     time = checks.number("time", time, low=0.0, strict=True)
     size = checks.number("size", size, low=1e-8)
@@ -172,10 +172,11 @@ class _Disturbed:
         """``_runs`` one by one, or as many at a time as there are processes."""
         import joblib
 
-        out, workers = [], joblib.effective_n_jobs(self.n_jobs)
+        out, workers = [], int(joblib.effective_n_jobs(cast(int, self.n_jobs)))  # it takes None, whatever its types say
         for first in range(0, len(starts), workers):
-            run, some = partial(_run, self.e, self.base.t, int(self.left), options), starts[first : first + workers]
-            for x, evaluations, outcome in joblib.Parallel(self.n_jobs if len(some) > 1 else 1)(map(joblib.delayed(run), some)):
+            some, run = starts[first : first + workers], joblib.delayed(partial(_run, self.e, self.base.t, int(self.left), options))
+            found = joblib.Parallel(self.n_jobs if len(some) > 1 else 1)(map(run, some))
+            for x, evaluations, outcome in cast("list[tuple[Array | str, int, Outcome]]", found):
                 self._spend(evaluations, outcome)
                 out.append(x)
         return out
