@@ -284,7 +284,8 @@ class ClosedLoop:
 
         Args:
             time: [s] of the runs. size: [rad, m] of the disturbance.
-            seed: of the random starts of the search, an integer >= 0; the radius depends on it by a few percent at most.
+            seed: of the random starts of the search, an integer >= 0. The radius depends on it by a few percent; by more with steep friction or with
+                light links on stiff walls: take the smallest of several there.
             n_jobs: processes for the runs on one-sided surfaces, which are independent; None: set by ``joblib.parallel_config``, else one. The runs
                 of other loops are integrated together in one process. The numbers are the same.
 

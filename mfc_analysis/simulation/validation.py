@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 ROUNDED = 10.0  #: times the solver's relative tolerance: the difference between two runs of a linear loop (measured: up to 2)
 WORK = 1.5  #: times the evaluations that one run may take, for all runs of a validation: about 15 s of work
 REGULAR, LEAST = 0.05, 1e-2  #: agreement of two slopes of a remainder below the solver's error, and the part of that error it exceeds
+SQUARE = 1.5  #: power of two from which a remainder shrinks as it should
 CLOSE = 0.01  #: relative accuracy of the radius
 APART = 0.03  #: relative distance of the sizes that are run together
 FIRST, LATER = (-2, 1), (-1, 1)  #: sizes below and above the one where a direction is to have its radius, run with it: the first is often too large
@@ -50,7 +51,9 @@ class Validation(Shown):
 
     time: float  #: [s] length of the runs
     size: float  #: [rad, m] of the disturbance
-    taylor_order: float  #: 2.0: the remainder shrinks with the square; inf: no remainder above rounding (the loop is linear)
+    #: 2.0: the remainder shrinks with the square; inf: no remainder above rounding (the loop is linear); NaN: a disturbance grows too much within
+    #: ``time``, and the solver's error with it
+    taylor_order: float
     nrmse: float  #: rms(nonlinear - linear) / rms(nonlinear) of the joint deviations at ``size``; inf where the run did not reach its end
     radius: float  #: [rad, m] largest size with nrmse below 5 % in the worst direction found; inf: up to 3 or more; NaN: too much work
     direction: Array  #: (nx,) that direction: all runs start at x0 + size direction; the largest entry of the joint positions is 1
@@ -75,7 +78,9 @@ class Validation(Shown):
             return f"not validated: {self.message}"
         reach = f"at least {LARGEST:g} rad" if np.isinf(self.radius) else f"{self.radius:.3g} rad"
         missed = f"no misfit at {self.size:g} rad ({self.message})" if self.message else f"misfit {100 * self.nrmse:.3g} % at {self.size:g} rad"
-        return f"Taylor order {self.taylor_order:.3f}; {missed}; below 5 % up to {reach} in the worst direction"
+        grows = f"a disturbance grows too much in {self.time:g} s for a Taylor order"
+        order = grows if np.isnan(self.taylor_order) else f"Taylor order {self.taylor_order:.3f}"
+        return f"{order}; {missed}; below 5 % up to {reach} in the worst direction"
 
     __repr__ = __str__
 
@@ -115,8 +120,8 @@ def validate(e: Equations, time: float, size: float, seed: int, n_jobs: int | No
         return _nothing(e, time, size, here)
     remainders = np.array([np.nan if isinstance(p, str) else float(np.abs(p[0] - p[1]).max()) for p in pairs])
     growth = np.array([1.0 if isinstance(p, str) else max(1.0, float(np.abs(p[0]).max()) / s) for s, p in zip(sizes, pairs, strict=True)])
-    error = 1e-8 * growth * sizes + ROUNDED * TIGHT["rtol"] * float(np.abs(base.x[:, q]).max())  # an unstable loop makes more of it
-    order = _order(sizes, remainders, error)
+    solver = ROUNDED * (TIGHT["rtol"] * float(np.abs(base.x[:, q]).max()) + TIGHT["atol"])
+    order = _order(remainders, 1e-8 * growth * sizes + solver, growth * solver)
     names = e.robot.joint_names
     if isinstance(here, str):
         linear = size * (predicted[:, q] @ direction)
@@ -227,18 +232,20 @@ def _predict(along: Along, t: Array) -> Array:
     return accumulated(along.Phi)
 
 
-def _order(sizes: Array, remainders: Array, floor: Array) -> float:
+def _order(remainders: Array, floor: Array, grown: Array) -> float:
     """Slope of the remainder; inf where no remainder exceeds ``floor``, the solver's error on a linear loop.
 
-    Below it a remainder still counts if it shrinks by the same power of 2, 1.5 or more, twice: errors of the solver do not.
+    Below it a remainder still counts if it shrinks by the same power of 2, 1.5 or more, twice: errors of the solver do not. A smaller power is NaN
+    where no remainder exceeds ``grown``, the solver's error once it has grown as the disturbance.
     """
     if not np.isfinite(remainders).all():
         return float("nan")
     first, second = np.log2(np.maximum(remainders[:2], 1e-300) / np.maximum(remainders[1:], 1e-300))
-    regular = min(first, second) > 1.5 and abs(first - second) < REGULAR and bool(np.all(remainders > LEAST * floor))
+    regular = min(first, second) > SQUARE and abs(first - second) < REGULAR and bool(np.all(remainders > LEAST * floor))
     if np.all(remainders <= floor) and not regular:
         return float("inf")
-    return float(np.log2(remainders[0] / remainders[1] if remainders[2] <= 3 * floor[2] else remainders[1] / remainders[2]))
+    order = float(np.log2(remainders[0] / remainders[1] if remainders[2] <= 3 * floor[2] else remainders[1] / remainders[2]))
+    return float("nan") if order < SQUARE and np.all(remainders <= grown) else order
 
 
 def _worst(runs: _Disturbed, tried: list[Candidate], least: float) -> tuple[float, Array]:

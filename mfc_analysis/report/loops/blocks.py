@@ -370,6 +370,8 @@ def validation_words(found: Validation, unit: str = "rad") -> str:
     order = (
         "the remainder is rounding error (the loop is linear)"
         if np.isinf(found.taylor_order)
+        else "a disturbance grows too much in that time for a Taylor order"
+        if np.isnan(found.taylor_order)
         else f"the remainder has order {written(found.taylor_order)} in the initial error"
     )
     error = 0.0 if np.isinf(found.taylor_order) else 100 * found.nrmse  # of a linear loop: rounding
