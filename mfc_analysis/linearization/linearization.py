@@ -471,12 +471,12 @@ class Linearization:
         t = self.times
         when = f"t = {t[0]:g} s" if len(t) == 1 else f"{len(t)} times from {t[0]:g} to {t[-1]:g} s"
         kind = f"discrete, dt = {self.dt:g} s" if self.dt else "continuous"
-        late = self.equations.hardware.dead_time
+        late, residual = self.equations.hardware.dead_time, float(np.abs(self.residual).max(initial=0.0))
         return (
             f"{self.equations.law} on {self.equations.robot.name}, linearised at {when} "
             f"({kind}; coordinates {self.coordinates!r})\n"
             f"stable at {int(stable.sum())} of {len(stable)} times; slow roots {int(self.slow.max(initial=0))}; "
-            f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {np.abs(self.residual).max(initial=0.0):.3g}"
+            f"drifts {'yes' if self.drifts.any() else 'no'}; largest residual {round(residual, 9):.3g}"
             + (f"\ndead time {late}: A, poles, system and loop are without dead time; verdict, margins and delay_roots include it" if late else "")
         )
 

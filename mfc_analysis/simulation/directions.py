@@ -70,7 +70,7 @@ def candidates(along: Along, basis: Array, seed: int) -> list[Candidate]:
     """
     n, k = along.e.n, basis.shape[1]
     rng = np.random.default_rng(seed)
-    starts = np.array([_on_box(c, n) for c in (*np.eye(k)[:n], np.ones(k), *rng.uniform(-1.0, 1.0, (STARTS, k)))])
+    starts = np.array([on_box(c, n) for c in (*np.eye(k)[:n], np.ones(k), *rng.uniform(-1.0, 1.0, (STARTS, k)))])
     try:
         both = expansion(along, basis)
     except MfcError:  # the law cannot be evaluated beside the run
@@ -80,7 +80,7 @@ def candidates(along: Along, basis: Array, seed: int) -> list[Candidate]:
     else:
         second = both.of_joints(along.e.parts["q"].where).turned()
         singular = np.linalg.svd(second.second.reshape(-1, k), full_matrices=False)[2]
-        reached, where = second.maxima(np.array([*(_on_box(c, n) for c in singular[:n]), *starts]), n)
+        reached, where = second.maxima(np.array([*(on_box(c, n) for c in singular[:n]), *starts]), n)
         maxima = _signed([(float(np.exp(-largest)), c) for largest, c in _distinct(reached, where)])
         out = _worst_of(Follower(along, basis, both), second, maxima, starts, n)
     out += [(np.inf, c) for c in _first_limits(along, basis)]
@@ -129,13 +129,13 @@ def _climbed(follower: Follower, c: Array, worst: Array, size: float, n: int) ->
         low, high = (low if low < size else 0.0, size) if worst.max() > MISFIT else (size, high if high > size else np.inf)
         wanted = min(size * float(np.clip(MISFIT / worst.max(), 0.3, 3.0)), LARGEST)
         size = wanted if low <= wanted < high else float(np.sqrt(low * high))  # where a limit is reached the misfit is not in proportion
-        later, worst = _searched(partial(_misfits, follower, size=size), c, step, n)
+        later, worst = pattern_step(partial(_misfits, follower, size=size), c, step, n)
         moved_none = step if np.array_equal(later, c) else 0.0
         c = later
     return [(size / found, at) for found, at in _distinct(worst, c, signed=True) if found > 0]
 
 
-def _searched(misfits: Callable[[Array], Array], c: Array, step: float, joints: int) -> tuple[Array, Array]:
+def pattern_step(misfits: Callable[[Array], Array], c: Array, step: float, joints: int) -> tuple[Array, Array]:
     """One step of the pattern search from directions c (m, k): the best of each with entries changed by ``step``, and their misfits (m,)."""
     k = c.shape[1]
     turn = np.where(c > 0, -1.0, 1.0)  # each entry towards 0
@@ -168,13 +168,13 @@ def _first_limits(along: Along, basis: Array) -> list[Array]:
     for i in one_sided:
         force = value(moved.contact.forces[i])
         rows += [-row for row in (force[:k] - force[k:]).T[list(e.surfaces[i].index)]]
-    return [_on_box(np.sign(row), e.n) for row in rows if np.any(row[: e.n])]
+    return [on_box(np.sign(row), e.n) for row in rows if np.any(row[: e.n])]
 
 
-def _on_box(c: Array, joints: int) -> Array:
+def on_box(c: Array, joints: int) -> Array:
     """The direction (k,) with the largest joint at 1 or -1 and no entry beyond."""
     size = np.abs(c[:joints]).max()
-    return np.clip(c / size, -1.0, 1.0) if size > 1e-6 * np.abs(c).max() else _on_box(c + np.abs(c).max() * (np.arange(c.size) == 0), joints)
+    return np.clip(c / size, -1.0, 1.0) if size > 1e-6 * np.abs(c).max() else on_box(c + np.abs(c).max() * (np.arange(c.size) == 0), joints)
 
 
 def _inside(c: Array, joints: int) -> Array:

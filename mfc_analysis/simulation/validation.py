@@ -21,7 +21,7 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.notebook import Shown
 from mfc_analysis.simulation.along import STEPS, Along
-from mfc_analysis.simulation.directions import LARGEST, MISFIT, Candidate, candidates, scaled_basis
+from mfc_analysis.simulation.directions import LARGEST, MISFIT, Candidate, candidates, on_box, pattern_step, scaled_basis
 from mfc_analysis.simulation.orbit import TIGHT
 from mfc_analysis.simulation.prediction import delayed, sampled_along, sampled_at_rest
 from mfc_analysis.simulation.run import Outcome, most_evaluations
@@ -38,6 +38,10 @@ CLOSE = 0.01  #: relative accuracy of the radius
 APART = 0.03  #: relative distance of the sizes that are run together
 FIRST, LATER = (-2, 1), (-1, 1)  #: sizes below and above the one where a direction is to have its radius, run with it: the first is often too large
 SMOOTH = 0.5  #: difference from 1 of the power with which the misfit grows with the size, up to which no limit is reached between two sizes
+STEEP = 1e3  #: [1/s] modulus of a root from which on the response that chooses directions may not follow
+RANDOM, CLIMBERS = 24, 5  #: directions tried at random there, and those that climb beside the worst known
+SMALLER = (1e-2, 1e-1, 1.0)  #: of the radius: sizes at which they are tried
+CLIMBED = (0.7, 0.4, 0.2)  #: changes of the entries of a direction in the steps of their search
 NEAR = 0.1  #: relative difference of two sizes up to which the misfit is in proportion
 LOOSE, LOOSEST = 5e-5, 1e-5  #: relative tolerance of the runs that give the radius, for each rad (m) of their disturbance, and its largest value
 
@@ -105,8 +109,11 @@ def validate(e: Equations, time: float, size: float, seed: int, n_jobs: int | No
     runs = _Disturbed(e, base, predicted[:, q], int(WORK * most_evaluations(e)), n_jobs)
 
     try:
-        tried = candidates(along, scaled_basis(e, predicted), seed)
+        basis = scaled_basis(e, predicted)
+        tried = candidates(along, basis, seed)
         radius, direction = _worst(runs, tried, 1e-6 * size)
+        if along.fastest > STEEP or e.plant.robot.coulomb.any():
+            radius, direction = _worse(runs, basis, radius, direction, seed, 1e-6 * size)
         sizes = _sizes(size, radius)
         here, *pairs = runs.compare([(direction, s) for s in (size, *sizes)], TIGHT)
         found = np.inf if isinstance(here, str) else misfit(*here)
@@ -269,6 +276,51 @@ def _worst(runs: _Disturbed, tried: list[Candidate], least: float) -> tuple[floa
             break
         direction = others.pop(i)
         radius = _radius(runs, direction, {size: found.pop(i)}, least)
+    return radius, direction
+
+
+def _worse(runs: _Disturbed, basis: Array, radius: float, direction: Array, seed: int, least: float) -> tuple[float, Array]:
+    """A smaller radius and its direction, where a pattern search on the runs finds one: from ``direction``, its opposite and some at random.
+
+    For loops that the response may not follow, and whose misfit may be largest at a small size. It takes half of the work that is left, and ends
+    with that. Not where runs are not integrated together, or take long.
+    """
+    if runs.alone or runs.e.delayed or runs.e.sample_time or radius == 0:
+        return radius, direction
+    n, k = runs.e.n, basis.shape[1]
+    own = np.asarray(np.linalg.lstsq(basis, direction, rcond=None)[0], float)
+    random = np.random.default_rng(seed).uniform(-1.0, 1.0, (RANDOM, k))
+    random[::2] = np.sign(random[::2])
+    c: Array = np.array([own, -own, *(on_box(x, n) for x in random)])
+    size, found, kept = 0.0, np.zeros(len(c)), 0.5 * runs.left
+    runs.left -= kept
+
+    def misfits(c: Array, size: float) -> Array:
+        found = runs.misfits([(basis @ x, size) for x in c.reshape(-1, k)])
+        return np.asarray(np.minimum(np.reshape(found, c.shape[:-1]), 1.0))
+
+    def smaller(c: Array, found: Array, size: float) -> tuple[float, Array]:
+        worst = int(found.argmax())
+        if not found[worst] > MISFIT * (1 + CLOSE):
+            return radius, direction
+        return _radius(runs, basis @ c[worst], {size: float(found[worst])}, least), basis @ c[worst]
+
+    try:
+        for part in SMALLER:
+            size = part * min(radius, LARGEST)
+            found = misfits(c[:, None], size)[:, 0]
+            if found.max() > MISFIT:
+                break
+        radius, direction = smaller(c, found, size)
+        c = np.concatenate([c[:1], c[1:][np.argsort(-found[1:], kind="stable")[:CLIMBERS]]])
+        for step in CLIMBED:
+            if radius > 0:
+                size = min(radius, LARGEST)
+                c, found = pattern_step(partial(misfits, size=size), c, step, n)
+                radius, direction = smaller(c, found, size)
+    except _TooMuch:  # what is found counts
+        pass
+    runs.left += kept
     return radius, direction
 
 
