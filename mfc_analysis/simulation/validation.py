@@ -55,9 +55,7 @@ class Validation(Shown):
 
     time: float  #: [s] length of the runs
     size: float  #: [rad, m] of the disturbance
-    #: 2.0: the remainder shrinks with the square; inf: no remainder above rounding (the loop is linear); NaN: a disturbance grows too much within
-    #: ``time``, and the solver's error with it
-    taylor_order: float
+    taylor_order: float  #: 2.0: the remainder shrinks with the square; inf: none above rounding (linear); NaN: the loop grows too much to tell
     nrmse: float  #: rms(nonlinear - linear) / rms(nonlinear) of the joint deviations at ``size``; inf where the run did not reach its end
     radius: float  #: [rad, m] largest size with nrmse below 5 % in the worst direction found; inf: up to 3 or more; NaN: too much work
     direction: Array  #: (nx,) that direction: all runs start at x0 + size direction; the largest entry of the joint positions is 1
