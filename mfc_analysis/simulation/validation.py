@@ -96,7 +96,7 @@ def validate(e: Equations, time: float, size: float, seed: int, n_jobs: int | No
     size = checks.number("size", size, low=1e-8)
     seed, n_jobs = checks.whole("seed", seed, 0, 2**64 - 1), checks.jobs(n_jobs)
     x0 = on_reference(e, np.zeros(1)).x[0]
-    t = _grid(e, time)
+    t, least = _grid(e, time), 1e-6 * size
     base = motion(e, t, x0, **TIGHT)
     if base.diverged:
         return _nothing(e, time, size, base.message, np.nan if base.outcome is Outcome.STOPPED else 0.0)
@@ -109,14 +109,13 @@ def validate(e: Equations, time: float, size: float, seed: int, n_jobs: int | No
     try:
         basis = scaled_basis(e, predicted)
         tried = candidates(along, basis, seed)
-        radius, direction = _worst(runs, tried, 1e-6 * size)
-        if along.fastest > STEEP or e.plant.robot.coulomb.any():
-            radius, direction = _worse(runs, basis, radius, direction, seed, 1e-6 * size)
+        radius, direction = _worst(runs, tried, least)
+        radius, direction = _worse(runs, along, basis, radius, direction, seed, least)
         sizes = _sizes(size, radius)
         here, *pairs = runs.compare([(direction, s) for s in (size, *sizes)], TIGHT)
         found = np.inf if isinstance(here, str) else misfit(*here)
         if size < (1 - CLOSE) * radius and not found <= MISFIT * (1 + CLOSE):  # it is larger here than at some larger sizes
-            radius = _radius(runs, direction, {size: found}, 1e-6 * size)
+            radius = _radius(runs, direction, {size: found}, least)
             sizes = _sizes(size, radius)
             pairs = runs.compare([(direction, s) for s in sizes], TIGHT)
     except _TooMuch as why:
@@ -127,6 +126,8 @@ def validate(e: Equations, time: float, size: float, seed: int, n_jobs: int | No
     growth = np.array([1.0 if isinstance(p, str) else max(1.0, float(np.abs(p[0]).max()) / s) for s, p in zip(sizes, pairs, strict=True)])
     solver = ROUNDED * (TIGHT["rtol"] * float(np.abs(base.x[:, q]).max()) + TIGHT["atol"])
     order = _order(remainders, 1e-8 * growth * sizes + solver, growth * solver)
+    if radius == 0 and least * float(np.abs(predicted[:, q] @ direction).max()) > MISFIT:  # even the least disturbance leaves the linear range
+        order = float("nan")
     names = e.robot.joint_names
     if isinstance(here, str):
         linear = size * (predicted[:, q] @ direction)
@@ -277,48 +278,41 @@ def _worst(runs: _Disturbed, tried: list[Candidate], least: float) -> tuple[floa
     return radius, direction
 
 
-def _worse(runs: _Disturbed, basis: Array, radius: float, direction: Array, seed: int, least: float) -> tuple[float, Array]:
+def _worse(runs: _Disturbed, along: Along, basis: Array, radius: float, direction: Array, seed: int, least: float) -> tuple[float, Array]:
     """A smaller radius and its direction, where a pattern search on the runs finds one: from ``direction``, its opposite and some at random.
 
     For loops that the response may not follow, and whose misfit may be largest at a small size. It takes half of the work that is left, and ends
     with that. Not where runs are not integrated together, or take long.
     """
-    if runs.alone or runs.e.delayed or runs.e.sample_time or radius == 0:
+    e = runs.e
+    if runs.alone or e.delayed or e.sample_time or not (along.fastest > STEEP or e.plant.robot.coulomb.any()):
         return radius, direction
-    n, k = runs.e.n, basis.shape[1]
+    n, k, kept = e.n, basis.shape[1], 0.5 * runs.left
     own = np.asarray(np.linalg.lstsq(basis, direction, rcond=None)[0], float)
     random = np.random.default_rng(seed).uniform(-1.0, 1.0, (RANDOM, k))
     random[::2] = np.sign(random[::2])
     c: Array = np.array([own, -own, *(on_box(x, n) for x in random)])
-    size, found, kept = 0.0, np.zeros(len(c)), 0.5 * runs.left
-    runs.left -= kept
 
     def misfits(c: Array, size: float) -> Array:
         found = runs.misfits([(basis @ x, size) for x in c.reshape(-1, k)])
         return np.asarray(np.minimum(np.reshape(found, c.shape[:-1]), 1.0))
 
-    def smaller(c: Array, found: Array, size: float) -> tuple[float, Array]:
+    for part, step in (*((part, 0.0) for part in SMALLER), *((1.0, step) for step in CLIMBED)):  # the starts as they are, then their search
+        if radius == 0 or runs.left <= kept:
+            break
+        size = part * min(radius, LARGEST)
+        runs.left -= kept
+        try:
+            c, found = pattern_step(partial(misfits, size=size), c, step, n) if step else (c, misfits(c[:, None], size)[:, 0])
+        except _TooMuch:
+            break
+        finally:
+            runs.left += kept
         worst = int(found.argmax())
-        if not found[worst] > MISFIT * (1 + CLOSE):
-            return radius, direction
-        return _radius(runs, basis @ c[worst], {size: float(found[worst])}, least), basis @ c[worst]
-
-    try:
-        for part in SMALLER:
-            size = part * min(radius, LARGEST)
-            found = misfits(c[:, None], size)[:, 0]
-            if found.max() > MISFIT:
-                break
-        radius, direction = smaller(c, found, size)
-        c = np.concatenate([c[:1], c[1:][np.argsort(-found[1:], kind="stable")[:CLIMBERS]]])
-        for step in CLIMBED:
-            if radius > 0:
-                size = min(radius, LARGEST)
-                c, found = pattern_step(partial(misfits, size=size), c, step, n)
-                radius, direction = smaller(c, found, size)
-    except _TooMuch:  # what is found counts
-        pass
-    runs.left += kept
+        if found[worst] > MISFIT * (1 + CLOSE):
+            radius, direction = _radius(runs, basis @ c[worst], {size: float(found[worst])}, least), basis @ c[worst]
+        if len(c) > CLIMBERS and part == 1.0:
+            c = np.concatenate([c[:1], c[1:][np.argsort(-found[1:], kind="stable")[:CLIMBERS]]])
     return radius, direction
 
 

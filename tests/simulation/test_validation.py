@@ -78,6 +78,15 @@ def test_no_taylor_order_is_stated_where_the_error_of_the_solver_grows_with_the_
         assert np.isnan(found.taylor_order) and f"grows too much in {time:g} s for a Taylor order" in str(found)
 
 
+def test_no_taylor_order_is_stated_where_even_the_least_disturbance_leaves_the_linear_range():
+    """Joint PID on light wrists with 3 ms of dead time: an order of 1.000 at a size where the linear model is off by a factor of a million."""
+    panda, pose = mfc.robots.load("panda"), np.array([1.0, 0.13, -0.9, -1.57, -0.63, 1.05, 1.05])
+    M = np.diag(panda.mass(pose))
+    law, late = mfc.laws.JointPID(100 * M, 50 * M, 20 * M), mfc.Hardware(delay=3e-3)
+    found = mfc.ClosedLoop(panda, law, mfc.trajectories.Hold(pose), hardware=late).validate(0.1)
+    assert found.radius == 0 and found.nrmse > 1e3 and np.isnan(found.taylor_order)
+
+
 def test_a_remainder_below_the_error_of_the_solver_that_shrinks_with_the_square_counts():
     """One joint with lag: gravity is not linear, 4e-10 rad of remainder at 0.01 rad, which was taken for rounding."""
     law, lag = mfc.laws.ComputedTorque(1e4, 1e4, 200.0), mfc.Hardware(torque_lag=1e-3)
