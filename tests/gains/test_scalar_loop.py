@@ -101,6 +101,17 @@ def test_both_settling_times_agree_with_a_sum_of_modes(damping: float, lag: floa
     assert f.loop_settling_time == pytest.approx(last_outside(of(num), end), rel=1e-9)
 
 
+@pytest.mark.parametrize(("damping", "w"), [(0.017042388010162668, 13.263775101069902), (0.01034373341188248, 10.984887107274307)])
+def test_a_peak_outside_the_band_between_two_samples_is_not_missed(damping: float, w: float) -> None:
+    """A pair of poles and a pole at -1: the last peak outside the band reaches less than 1 % beyond it."""
+    closed = np.polymul([1.0, 2 * damping * w, w * w], [1.0, 1.0])
+    poles, over = np.roots(closed), closed[3:]
+    parts = np.polyval(over, poles) / (poles * np.polyval(np.polyder(closed), poles))
+    f = loop_metrics(over, [*closed[:3], 0.0])
+    end = 16 / float(np.min(-poles.real))
+    assert f.settling_time == pytest.approx(last_outside(lambda t: np.real(np.exp(np.multiply.outer(t, poles)) @ parts), end), rel=1e-6)
+
+
 def test_a_band_that_ends_on_a_sample_is_no_failure_of_the_search() -> None:
     for i in range(1, 300, 3):
         t = 16 / 0.5 * i / 4000  # the samples of this loop
