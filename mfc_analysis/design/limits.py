@@ -21,13 +21,13 @@ from mfc_analysis.design.searches import CLOSE, WIDEST, Limit, Outcome, first_lo
 from mfc_analysis.design.worst_case import WorstCase, worst_case
 from mfc_analysis.dynamics.environment import STIFFEST, stiffened, stiffest
 from mfc_analysis.dynamics.hardware import LONGEST, MOST_SAMPLES, SHORTEST, Hardware
-from mfc_analysis.errors import BadArgument
+from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.linearization.linearization import linearize
 from mfc_analysis.loop import ClosedLoop
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.requirements.evidence import Evidence
-from mfc_analysis.requirements.line import Line
+from mfc_analysis.requirements.line import Line, Status
 from mfc_analysis.requirements.requirements import Requirements
 
 __all__ = ["Limit", "Outcome", "WorstCase", "max_bandwidth", "max_delay", "max_payload", "max_stiffness", "min_sample_rate", "worst_case"]
@@ -37,6 +37,7 @@ MOST_IN_TRANSIT = 16  #: samples of dead time of the fastest sampling searched w
 HEAVIEST = 1e9  #: [kg] largest payload searched for
 USUAL_RATE = 1e5  #: [1/s] highest sample rate searched at first
 MOVING_TIMES = 21  #: times checked along a moving reference
+WITHIN = 1 - 1e-12  #: of the most samples of dead time: below them by more than rounding
 FEW_TIMES = 4  #: up to which dead times are judged together: a count of more points takes no less time for each
 
 
@@ -93,8 +94,9 @@ def max_delay(
 ) -> Limit:  # fmt: skip
     """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the given one) with which the loop is stable.
 
-    inf if stable up to ``upper`` [s], 1e-9 to 1e9; 0 if it is not stable without dead time. The scan looks on both sides of
-    the smallest delay margin of the loop without dead time, which is the limit of a single joint.
+    inf if stable up to ``upper`` [s], 1e-9 to 1e9; 0 if it is not stable without dead time. The search of a sampled loop ends at 2000 samples;
+    ``binds`` says where it ended. The scan looks on both sides of the smallest delay margin of the loop without dead time, which is the limit of
+    a single joint.
 
     Args:
         loop: as given. upper: [s] end of the search.
@@ -107,14 +109,14 @@ def max_delay(
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
     upper = checks.number("upper", upper, low=SHORTEST, high=LONGEST)
     hardware = loop.hardware or Hardware()
+    if hardware.sample_time:
+        upper = min(upper, WITHIN * MOST_SAMPLES * hardware.sample_time - replace(hardware, delay=None).command_delay)
 
     def later(delay: float) -> ClosedLoop:
         return replace(loop, hardware=replace(hardware, delay=delay if delay >= SHORTEST else None))
 
     t, judge = _asked(loop, times, requirements, at)
     if judge is not None:
-        if hardware.sample_time:
-            upper = min(upper, MOST_SAMPLES * hardware.sample_time)
         return requirement_limit(later, "delay", hardware.delay or 0.0, judge, upper=upper, progress=progress, n_jobs=n_jobs)
     alone = linearize(later(0.0).equations, t, horizon=horizon).margins().delay
     first = alone[(alone > 0) & (alone < upper)]
@@ -173,21 +175,24 @@ def min_sample_rate(
     """Smallest rate [1/s] of a sampled controller (``Hardware.sample_time``, zero-order hold) with which the loop is stable.
 
     The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate of the search, whose
-    ends ``binds`` gives. Rates are 1e-9 to 1e9 1/s. ``upper`` None: 1e5 1/s, and 1e9 1/s where no rate up to there is stable.
+    ends ``binds`` gives. Rates are 1e-9 to 1e9 1/s. ``upper`` None: 1e5 1/s, and 1e9 1/s where no rate up to there is stable; with dead time at
+    most the rate at which it takes 2000 samples.
 
     Other arguments as ``max_delay``. Raises BadArgument.
     """
     checks.instance("loop", loop, ClosedLoop, "a ClosedLoop")
-    ends = ("lower", lower), ("upper", USUAL_RATE if upper is None else upper)
-    low, high = (checks.number(name, rate, low=1 / LONGEST, high=1 / SHORTEST) for name, rate in ends)
     hardware = loop.hardware or Hardware()
+    late = max(hardware.command_delay, hardware.force_delay or 0.0)
+    most = min(1 / SHORTEST, WITHIN * MOST_SAMPLES / late) if late else 1 / SHORTEST
+    ends = ("lower", lower), ("upper", min(USUAL_RATE, most) if upper is None else upper)
+    low, high = (checks.number(name, rate, low=1 / LONGEST, high=1 / SHORTEST) for name, rate in ends)
 
     def sampled(period: float) -> ClosedLoop:
         return replace(loop, hardware=hardware.every(period))
 
     t, judge = _asked(loop, times, requirements, at)
     if judge is not None:
-        fastest = max(1 / high, max(hardware.command_delay, hardware.force_delay or 0.0) / MOST_IN_TRANSIT)
+        fastest = max(1 / high, late / MOST_IN_TRANSIT)
         return requirement_limit(
             sampled, "sample_time", hardware.sample_time or 0.0, judge, lower=fastest, upper=1 / low, progress=progress, n_jobs=n_jobs
         )
@@ -196,8 +201,8 @@ def min_sample_rate(
         return _limit(sampled, scan(1 / high, 1 / low), t, horizon, "smallest stable sample rate", "1/s", progress, n_jobs, rate=True)
 
     found = search(low, high)
-    if found.outcome is Outcome.NOWHERE and upper is None:
-        found = search(low, 1 / SHORTEST)
+    if found.outcome is Outcome.NOWHERE and upper is None and high < most:
+        found = search(low, most)
     value = {Outcome.FOUND: 1 / found if found else np.inf, Outcome.UNLIMITED: 0.0, Outcome.NOWHERE: np.inf}[found.outcome]
     above = f"above the upper end of the search, {high:g} 1/s: " if found.outcome is Outcome.NOWHERE and upper is not None else ""
     note = (f"sample time {float(found):.6g} s",) if found.outcome is Outcome.FOUND else ()
@@ -285,7 +290,12 @@ def _limit(
 
 def _lost(loop: ClosedLoop, t: Array, horizon: float) -> tuple[str, Line]:
     """The root of a loop that is not stable, in words, and the line "stable" of its verdict."""
-    verdict = Requirements(horizon=horizon).check(loop, t)
+    try:
+        verdict = Requirements(horizon=horizon).check(loop, t)
+    except Unsupported:  # many samples in transit: the verdict counts the unstable roots, and does not need them
+        said = "a root in the right half plane, not located: too many samples are in transit"
+        when = float(t[np.argmin(Evidence(loop.equations, t, horizon=horizon).judged)])
+        return said, Line("stable", 0.0, np.nan, "1/s", np.nan, Status.FAIL, "", when, "<", note=f"unstable: {said}")
     evidence = verdict.evidence
     return "every root is slow" if evidence.nothing_else else evidence.unstable or str(evidence.rightmost), verdict.line("stable")
 

@@ -188,6 +188,38 @@ def test_a_light_joint_needs_a_rate_above_the_usual_ones_and_ranges_are_rates():
     assert far == 0.0 and far.binds == "stable down to 200000 1/s"
 
 
+@pytest.mark.parametrize("k", [2.0, 8.0])
+def test_a_sampled_arm_has_a_largest_dead_time_of_hundreds_of_samples(k):
+    """u(j) = k e(j - d) with d samples of dead time: z^d (z - 1) + k h has roots on the circle where k h = 2 sin(pi / (4 d + 2))."""
+    q, h = np.array([0, -0.9, 1.6, -0.7, 1.57, 0.0]), 1e-3
+    loop = mfc.ClosedLoop(mfc.robots.ur5(), mfc.laws.VelocityP(k), mfc.trajectories.Hold(q), hardware=mfc.Hardware(sample_time=h))
+    found = design.max_delay(loop)
+    whole = (math.pi / math.asin(k * h / 2) - 2) / 4  # the limit in samples, where it is whole
+    assert abs(float(found) / h - whole) < 1e-2 and found.outcome is Outcome.FOUND
+    assert found.binding.name == "stable" and found.binding.when == 0.0 and found.loop.linearize().stable.all()
+
+
+def test_the_search_for_a_dead_time_ends_at_2000_samples():
+    found = design.max_delay(velocity_p(0.5, sample_time=1e-3))  # the limit is pi s
+    assert math.isinf(found) and found.binds == "stable up to 2 s"
+    servo = mfc.Servo(bandwidth=50.0, delay=0.02)
+    assert design.max_delay(velocity_p(0.5, sample_time=1e-3, servo=servo)).binds == "stable up to 1.98 s"
+
+
+@pytest.mark.parametrize("delay", [0.025, 0.1])
+def test_a_sample_rate_is_found_behind_a_long_dead_time(delay):
+    found = design.min_sample_rate(velocity_p(2.0, delay=delay))
+    assert found.outcome is Outcome.FOUND and found < 2.0
+    assert [found.loop.linearize().stable[0], found.beyond.linearize().stable[0]] == [True, False]
+
+
+def test_an_unstable_loop_with_dead_time_is_stable_at_no_sample_rate():
+    q = np.array([0, -0.9, 1.6, -0.7, 1.57, 0.0])
+    loop = mfc.ClosedLoop(mfc.robots.ur5(), mfc.laws.VelocityP(200.0), mfc.trajectories.Hold(q), hardware=mfc.Hardware(delay=0.019))
+    found = design.min_sample_rate(loop)
+    assert math.isinf(found) and found.outcome is Outcome.NOWHERE and found.binds.startswith("not stable from 0.1 to 105263 1/s")
+
+
 def test_the_largest_dead_time_is_the_delay_margin_of_a_single_loop():
     loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.ComputedTorque(kp=100.0, ki=100.0, kd=20.0), mfc.trajectories.Hold([0.3]))
     assert float(design.max_delay(loop)) == pytest.approx(loop.linearize([0.0]).margins().delay[0, 0], rel=1e-5)
