@@ -27,6 +27,8 @@ from mfc_analysis.maths.checks import whole
 MOST_NODES = 200  #: for one wire
 MOST_ROOTS = 10_000  #: roots asked for
 MOST_SIZE = 600  #: of the collocated matrix
+NEAR = 1e-2  #: relative distance to a root of the collocation up to which another is that one
+NEAR_TURN = 0.1  #: and at most this over T: the roots of a chain are 2 pi / T apart
 
 
 def delay_roots(system: OpenSystem, count: int = 6, slow: Sequence[Complex] | None = None) -> Complex:
@@ -69,7 +71,8 @@ def rightmost(point: Delayed, count: int, radius: float) -> Complex:
         more, found_before = 2 * more + 12, sure
     far = chain(point)[:count]  # unstable roots that turn faster than the nodes resolve
     far = np.concatenate([far, far.conj()])
-    good = np.concatenate([good, far[np.abs(far[:, None] - good).min(axis=1, initial=np.inf) > 1e-6 * np.abs(far)]])
+    known = np.minimum(NEAR * np.abs(far), NEAR_TURN / float(point.T.max()))  # Newton alone scatters the copies of a multiple root
+    good = np.concatenate([good, far[np.abs(far[:, None] - good).min(axis=1, initial=np.inf) > known]])
     return _ordered(_fast(good, radius))[: max(count, 2)]
 
 

@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import lambertw
 
+import mfc_analysis as mfc
 from mfc_analysis.analysis.delay.roots import delay_roots
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem
@@ -168,3 +169,19 @@ def test_bad_counts_and_sampled_loops_are_refused():
             delay_roots(open_system(1 / s, delay=0.1), bad)
     with pytest.raises(Unsupported, match="sampled"):
         delay_roots(open_system(control.tf([0.4], [1, -0.9], 0.01)), 2)
+
+
+@pytest.mark.parametrize("T", [0.1, 0.5])
+def test_the_copies_of_a_multiple_unstable_root_are_not_listed_twice(T):
+    """An admittance on a wall that is the same along x, y and z: (M s + D) s (lag s + 1)^2 + k e^(-s T), three times."""
+    M, D, k, lag = 3.0, 60.0, 3e4, 5e-3
+    law = mfc.laws.Admittance([0, 0, 10, 0, 0, 0], [M] * 3 + [2.0] * 3, [D] * 3 + [40.0] * 3)
+    hold = mfc.trajectories.Hold(np.array([0, -0.9, 1.6, -0.7, 1.57, 0.0]))
+    wall = mfc.Environment(k, axes="xyz", preload=10.0)
+    hardware = mfc.Hardware(delay=T, velocity_lag=lag, force_filter=lag)
+    found = mfc.ClosedLoop(mfc.robots.ur5(), law, hold, environment=wall, hardware=hardware).linearize().delay_roots(8)[0]
+    late, slow = k * np.exp(-found * T), lag * found + 1
+    f = (M * found + D) * found * slow**2 + late
+    slope = (2 * M * found + D) * slow**2 + 2 * lag * (M * found + D) * found * slow - T * late
+    np.testing.assert_array_less(np.abs(f / slope), 1e-9 * np.abs(found))
+    np.testing.assert_allclose(found[:3], found[0], rtol=1e-9)
