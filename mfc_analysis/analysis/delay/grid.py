@@ -35,11 +35,13 @@ def room(row: Ints, filler: NDArray[Any]) -> tuple[NDArray[Any], Ints]:
 def apart(poles: Complex) -> Complex:
     """(m, q) one of the ``poles`` (m, p) [1/s] of each kind: of those that are alike another adds nothing to a grid.
 
-    The first is repeated where a row has fewer; NaN counts as none.
+    The first is repeated where a row has fewer; NaN counts as none. Of a pair that is alike the upper one stays, so that a real pole is never below
+    the axis by rounding, alone.
     """
     rate, height = np.maximum(np.abs(poles.real), 1e-9 * np.abs(poles)), poles.imag
     with np.errstate(divide="ignore", invalid="ignore"):
         kind = np.round(np.log(rate) / ALIKE) + 1j * np.round(height / rate / ALIKE)
+    poles = np.where(kind.imag == 0, poles.real + 1j * np.abs(height), poles)
     order = np.argsort(np.where(np.isnan(kind), np.inf, kind), axis=1)
     sorted_ = np.take_along_axis(kind, order, 1)
     new = ~np.isnan(sorted_)

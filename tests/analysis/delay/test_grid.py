@@ -6,6 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from mfc_analysis.analysis.delay.grid import apart, between, room
+from mfc_analysis.analysis.frequency.peak import frequencies_of_interest, thinned
 
 
 def test_steps_are_divided_into_equal_ones_of_at_most_the_step():
@@ -34,6 +35,15 @@ def test_of_poles_that_are_alike_one_is_left():
     assert np.isin(found, poles).all()
     assert_allclose(np.sort(found[0].imag), [-50, 0, 50])
     assert_allclose(np.sort(found[1].imag), [0, 3, 3.001])
+
+
+def test_real_poles_that_are_below_the_axis_by_rounding_are_not_taken_for_lower_ones():
+    """Computed twice, of two roundings: without an upper pole there is no distance from the next one (``thinned``)."""
+    poles = np.array([[-0.56 - 3e-16j, -0.56 + 2e-16j, -7.4 - 1e-14j, -7.4 - 2e-14j, -3 - 0.3j, -3 + 0.3j]])
+    found = apart(poles)
+    assert (found.imag >= 0).all()
+    assert_allclose(np.sort(found[0].real), [-7.4, -3, -0.56])
+    assert np.isfinite(thinned(frequencies_of_interest(found, 0.01), found)).all()
 
 
 def test_where_there_is_no_pole_there_is_nothing_to_choose():
