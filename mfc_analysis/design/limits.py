@@ -28,7 +28,7 @@ from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.requirements.evidence import Evidence
 from mfc_analysis.requirements.line import Line, Status
-from mfc_analysis.requirements.requirements import Requirements
+from mfc_analysis.requirements.requirements import Requirements, residual_lines
 
 __all__ = ["Limit", "Outcome", "WorstCase", "max_bandwidth", "max_delay", "max_payload", "max_stiffness", "min_sample_rate", "worst_case"]
 
@@ -276,8 +276,12 @@ def _limit(
     notes: tuple[str, ...] = ()
     if bracket.before is not None:
         notes += (f"also not stable from {told(float(values[0])):.4g} {on} to {told(bracket.before):.4g} {unit}",)
-    if Evidence(last.equations, t, horizon=horizon).stability.drifts.any():
+    evidence = Evidence(last.equations, t, horizon=horizon)
+    if evidence.stability.drifts.any():
         notes += ("the loop drifts: the limit is that of the roots that are not slow",)
+    for line in residual_lines(evidence, None):
+        where = f" ({line.where})" if line.where else ""
+        notes += (f"WATCH at the limit: {line.label} {line.found:.3g} {line.unit}{where}, {line.note}",)
     if bracket.outcome is Outcome.UNLIMITED:
         return Limit(np.inf, name, unit, bracket.outcome, f"stable {on} to {told(bracket.holds):g} {unit}", last, None, bracket.evaluations, notes)
     if bracket.before is not None:  # an island: what lies beyond it may be the larger part

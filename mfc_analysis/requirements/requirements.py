@@ -198,7 +198,7 @@ class Requirements:
         evidence = Evidence(loop.equations, checks.times(times), at, self.horizon, self.step)
         lines = [_stable(evidence)]
         lines += [compared(name, limit, evidence.found(name), self.step) for name, limit in self.asked().items()]
-        lines += _residual(evidence, self.tracking_error)
+        lines += residual_lines(evidence, self.tracking_error)
         lines.sort(key=lambda line: line.severity, reverse=True)
         assert evidence.at is not None
         notes = _notes(evidence, worst([line.status for line in lines]))
@@ -249,8 +249,8 @@ def _stable(evidence: Evidence) -> Line:
     return Line("stable", 0.0, root.value, "1/s", -root.value, status, root.where, root.when, "<", note="; ".join(notes))
 
 
-def _residual(evidence: Evidence, tracking: float | None) -> list[Line]:
-    """A line only where the residual matters."""
+def residual_lines(evidence: Evidence, tracking: float | None) -> list[Line]:
+    """The line of the error at rest, or of the lag behind a moving reference, only where the residual matters. ``tracking``: its limit, if asked."""
     limit = RESIDUAL_MATTERS if tracking is None else min(RESIDUAL_MATTERS, tracking)
     found = evidence.implied_error()
     if found.value <= limit:

@@ -258,6 +258,19 @@ def test_the_controller_does_not_know_of_the_payload():
     assert not found.beyond.linearize([0.0]).stable.any() and known.linearize([0.0]).stable.all()
 
 
+def test_a_payload_that_the_arm_does_not_hold_at_its_reference_is_noted():
+    """Without an integral the arm sags away from the reference at which its roots are judged; with one it does not."""
+    hold = mfc.trajectories.Hold(np.array([0, -0.9, 1.6, -0.7, 1.57, 0.0]))
+
+    def notes(ki):
+        loop = mfc.ClosedLoop(mfc.robots.ur5(), mfc.laws.ComputedTorque(kp=100.0, ki=ki, kd=20.0), hold, hardware=mfc.Hardware(torque_lag=2e-3))
+        found = design.max_payload(loop, 20.0)
+        return [note for note in found.notes if note.startswith("WATCH at the limit: error at rest")]
+
+    assert len(notes(None)) == 1 and "does not stay at its operating point" in notes(None)[0]
+    assert notes(50.0) == []
+
+
 def test_a_loop_that_is_unstable_as_it_is_has_no_room_at_all():
     loop = mfc.ClosedLoop(mfc.robots.single_joint(), mfc.laws.JointPID(5.0, 100.0, 2.0), mfc.trajectories.Hold([0.3]))
     for search in (design.max_delay, design.max_payload):
