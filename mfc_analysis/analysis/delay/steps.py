@@ -19,6 +19,8 @@ from mfc_analysis.maths.arrays import Array
 
 FINEST = 60  #: steps in the shortest dead time
 MOST_STEPS = 1_000_000
+WIDE, BLOCK = 600, 64  #: numbers that say all of the past, up to which the steps of a block are one matrix, and the steps in one;
+LONG = 20  #: steps of a run for each of these numbers, from which on the matrix saves more than it costs
 #: cubic on 0..1 from y, h y' at its start and at its end
 CUBIC = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-3, -2, 3, -1], [2, 1, -2, 1]])
 
@@ -101,30 +103,68 @@ def _one_step(A: Array, B: Array, C: Array, D: Array, h: float, nu: int) -> Arra
     return np.concatenate([rows[0], np.stack(rows[1:]).reshape(shape).transpose(1, 0, 2).reshape(-1, size)])
 
 
+class _Steps:
+    """Equal steps of a loop from any start; a start and its responses have as many columns as are asked for.
+
+    What arrives in as many steps as the shortest dead time has is known at their start, so they are taken together.
+    """
+
+    def __init__(self, table: Array, nx: int, T: Array, h: float) -> None:
+        self.table, self.nx, self.nd = table, nx, T.size
+        self.back = np.ceil(T / h * (1 - 1e-12)).astype(int)
+        late = self.back - T / h
+        late = np.where(np.abs(late) < 1e-9, 0.0, late)
+        self.first, self.second = (np.stack([m[i] for m in (_shifted(f, h) for f in late)]) for i in (0, 1))
+        self.whole, self.deep = not late.any(), int(self.back.max())
+        self.together = max(1, int(self.back.min()) - (not self.whole))
+        self.powers = [table[:nx, :nx]]  #: of the matrix of a step, for 1, 2, 4, ... steps
+        while 2 ** len(self.powers) <= self.together:
+            self.powers.append(self.powers[-1] @ self.powers[-1])
+
+    def taken(self, count: int, x: Array, past: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Each y and its slope at the start and at the end of ``count`` steps (count, 4 ny, k), and x and ``past`` at their end.
+
+        x (nx, k); past (deep, nd, 4, k): signals in the steps before; u (nu, k), constant.
+        """
+        nx, nd, k, wired = self.nx, self.nd, x.shape[1], self.nx + 4 * self.nd
+        past = np.concatenate([past, np.zeros((count, nd, 4, k))])
+        y = np.empty((count, len(self.table) - wired, k))
+        for start in range(0, count, self.together):
+            some = np.arange(start, min(start + self.together, count))
+            which, wires = some[:, None] + self.deep - self.back, np.arange(nd)
+            arriving = past[which, wires]
+            if not self.whole:
+                arriving = self.first @ arriving + self.second @ past[np.minimum(which + 1, start + self.deep - 1), wires]
+            arriving = arriving.reshape(some.size, -1, k)
+            states = np.concatenate([x[None], self.table[:nx, nx:wired] @ arriving + self.table[:nx, wired:] @ u])
+            for j, power in enumerate(self.powers):
+                states[2**j :] += power @ states[: -(2**j)]
+            x, now = states[-1], np.concatenate([states[:-1], arriving, np.broadcast_to(u, (some.size, *u.shape))], axis=1)
+            out = self.table[nx:] @ now
+            past[some + self.deep] = out[:, : 4 * nd].reshape(-1, nd, 4, k)
+            y[some] = out[:, 4 * nd :]
+        return y, x, past[count:]
+
+
 def _marched(table: Array, nx: int, T: Array, h: float, steps: int, nu: int) -> Array:
-    """(4, ny * nu, steps): each y and its slope at the start and at the end of each step, from rest."""
-    nd = T.size
-    back = np.ceil(T / h * (1 - 1e-12)).astype(int)
-    late = back - T / h
-    late = np.where(np.abs(late) < 1e-9, 0.0, late)
-    first, second = (np.stack([m[i] for m in (_shifted(f, h) for f in late)]) for i in (0, 1))
-    deep = int(back.max())
-    past = np.zeros((steps + deep + 1, nd, 4, nu))
-    wired = nx + 4 * nd  # rows of the states and of the wires
-    y = np.empty((steps, len(table) - wired, nu))
-    now = np.zeros((table.shape[1], nu))
-    now[wired:] = np.eye(nu)
-    wires, whole = np.arange(nd), not late.any()
-    for k in range(steps):
-        which = k + deep - back
-        arriving = past[which, wires]
-        if not whole:
-            arriving = first @ arriving + second @ past[np.minimum(which + 1, k + deep - 1), wires]
-        now[nx:wired] = arriving.reshape(-1, nu)
-        out = table @ now
-        now[:nx] = out[:nx]
-        past[k + deep] = out[nx:wired].reshape(nd, 4, nu)
-        y[k] = out[wired:]
+    """(4, ny * nu, steps): each y and its slope at the start and at the end of each step, from rest.
+
+    Where few numbers say all of the past, many steps are one matrix.
+    """
+    march = _Steps(table, nx, T, h)
+    shape = march.deep, march.nd, 4
+    size = nx + int(np.prod(shape))
+    if size > min(WIDE, steps / LONG):
+        y = march.taken(steps, np.zeros((nx, nu)), np.zeros((*shape, nu)), np.eye(nu))[0]
+    else:
+        unit, parts = np.eye(size + nu), np.zeros((-(-steps // BLOCK), BLOCK * (len(table) - nx - 4 * march.nd), nu))
+        y, x, past = march.taken(BLOCK, unit[:nx], unit[nx:size].reshape(*shape, -1), unit[size:])
+        block = np.concatenate([y.reshape(-1, size + nu), x, past.reshape(-1, size + nu)])
+        now = unit[:, size:].copy()
+        for part in parts:
+            out = block @ now
+            part[:], now[:size] = out[: len(part)], out[len(part) :]
+        y = parts.reshape(-1, len(table) - nx - 4 * march.nd, nu)[:steps]
     return np.ascontiguousarray(y.reshape(steps, -1, 4, nu).transpose(2, 1, 3, 0)).reshape(4, -1, steps)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from mfc_analysis.analysis.delay import steps as module
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.step_metrics import Outcome
 from mfc_analysis.analysis.steps import step
@@ -96,3 +97,18 @@ def test_a_response_that_does_not_settle_is_shown_as_far_as_steps_are_afforded()
         loop = next(loop for name, _, loop in loops(arm, 1, ["dead time"]) if name == "9.23 on z")
         found = step(loop.linearize().opened, 0, 0, 0)
         assert found.outcome is not Outcome.SETTLES and np.isfinite(found.y[:1000]).all() and found.t[-1] > 0.1
+
+
+@pytest.mark.parametrize("T", [[0.1, 0.1], [0.2, 0.3], [0.7, 0.7], [6.0, 6.0], [0.25, 0.32], [6.0, 7.77]])
+def test_steps_in_blocks_are_the_steps_one_by_one(rng, monkeypatch, T):
+    h, delay = 0.1 if T != [0.25, 0.32] else 0.25 / 3, np.array(T)
+    A, B = np.array([[-1.0, 4.0, 0.0], [-4.0, -1.0, 1.0], [0.0, 0.0, -9.0]]), rng.normal(size=(3, 4))
+    table = module._one_step(A, B, 0.1 * rng.normal(size=(3, 3)), 0.1 * rng.normal(size=(3, 4)), h, 2)
+    march = module._Steps(table, 3, delay, h)
+    march.together, march.powers = 1, march.powers[:1]
+    wanted = march.taken(1003, np.zeros((3, 2)), np.zeros((march.deep, 2, 4, 2)), np.eye(2))[0]
+    wanted = wanted.reshape(1003, -1, 4, 2).transpose(2, 1, 3, 0).reshape(4, -1, 1003)
+    for wide, long in ((0, 1), (10_000, 0.1)):
+        monkeypatch.setattr(module, "WIDE", wide)
+        monkeypatch.setattr(module, "LONG", long)
+        assert_allclose(module._marched(table, 3, delay, h, 1003, 2), wanted, atol=1e-12 * np.abs(wanted).max())
