@@ -1,54 +1,81 @@
-"""Derivatives of the body Jacobian by brackets of its columns: d J_i / d q_j is [J_i, J_j] for j after i on the chain."""
+"""Derivatives of the body Jacobian by brackets of its columns: d J_i / d q_j is [J_i, J_j] for j after i on the chain.
+
+Inside, the points are the last axis, in memory too: the other axes are a few long, and numpy takes most of its time between them.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mfc_analysis.maths.arrays import Array
+from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.robots.calls import Calls
 
 
+def _rows(*halves: int) -> tuple[Ints, Ints]:
+    """Rows of halves of a twist (0: linear, 1: angular), from the second and from the third on: their products make cross products."""
+    second, third = (np.array([3 * half + (i + turn) % 3 for half in halves for i in range(3)], np.int64) for turn in (1, 2))
+    return second, third
+
+
+BRACKET = _rows(1, 0, 1), _rows(0, 1, 1)  #: of two twists: w x v', v x w' and w x w'
+TURNED = _rows(1, 0, 1), _rows(0, 0, 1)  #: of a twist and a wrench: w x f, v x f and w x m
+
 def bracketed(calls: Calls, J: Array, x: Array) -> Array:
     """d(J x)/dq with x held: column j is [sum over i < j of J_i x_i, J_j], (..., 6, n)."""
-    J, x = calls.along(J, x)
-    parts = J * x[..., None, :]
-    return calls.unordered(bracket_columns(np.cumsum(parts, axis=-1) - parts, J))
+    lead = np.broadcast_shapes(J.shape[:-2], x.shape[:-1])
+    J, x = (_points_last(one, lead) for one in calls.along(J, x[..., None, :]))
+    return calls.unordered(_points_first(bracket_columns(_before(J * x), J), lead))
 
 
 def transposed_derivative(calls: Calls, J: Array, f: Array) -> Array:
     """d(J^T f)/dq with f held: entry (i, j) is [J_i, J_j] . f for j after i, (..., n, n)."""
     (J,) = calls.along(J)
-    G = np.empty(np.broadcast_shapes(J.shape, (*f.shape, J.shape[-1])))
-    fv, fm = f[..., :3, None], f[..., 3:, None]
-    v, w = J[..., :3, :], J[..., 3:, :]
-    G[..., :3, :] = cross_columns(w, fv)
-    G[..., 3:, :] = cross_columns(v, fv) + cross_columns(w, fm)
-    out = np.triu(np.swapaxes(J, -1, -2) @ G, 1)
+    lead = np.broadcast_shapes(J.shape[:-2], f.shape[:-1])
+    both = _crosses(_points_last(J, lead), _points_last(f[..., None], lead), *TURNED)
+    G = np.concatenate([both[:3], both[3:6] + both[6:]])
+    out = np.triu(np.swapaxes(J, -1, -2) @ _points_first(G, lead), 1)
     return out if calls.order is None else out[..., calls.back[:, None], calls.back]
 
 
 def jacobian_dot_derivatives(calls: Calls, J: Array, K: Array, v: Array) -> tuple[Array, Array]:
     """d(J' v)/dq and d(J' v)/dv, (..., 6, n) each."""
-    J, K, v = calls.along(J, K, v)
-    Jv, Kv = J * v[..., None, :], K * v[..., None, :]
-    before = np.cumsum(Kv, axis=-1) - Kv  # acceleration of the joints before joint k
-    after = np.sum(Jv, axis=-1, keepdims=True) - np.cumsum(Jv, axis=-1)  # twist of the joints after joint k
-    dq = bracket_columns(before, J) + bracket_columns(K, Jv + after)
+    lead = np.broadcast_shapes(J.shape[:-2], v.shape[:-1])
+    J, K, v = (_points_last(one, lead) for one in calls.along(J, K, v[..., None, :]))
+    Jv, Kv = J * v, K * v
+    after = _before(Jv[:, ::-1])[:, ::-1]  # twist of the joints after joint k; before it, their acceleration
+    dq = bracket_columns(_before(Kv), J) + bracket_columns(K, Jv + after)
     dv = K + bracket_columns(J, after)
-    return calls.unordered(dq), calls.unordered(dv)
-
-
-def cross_columns(a: Array, b: Array) -> Array:
-    """Cross products of the columns of (..., 3, n) arrays."""
-    ax, ay, az = a[..., 0, :], a[..., 1, :], a[..., 2, :]
-    bx, by, bz = b[..., 0, :], b[..., 1, :], b[..., 2, :]
-    x = ay * bz - az * by
-    out = np.empty((*x.shape[:-1], 3, x.shape[-1]))
-    out[..., 0, :], out[..., 1, :], out[..., 2, :] = x, az * bx - ax * bz, ax * by - ay * bx
-    return out
+    return calls.unordered(_points_first(dq, lead)), calls.unordered(_points_first(dv, lead))
 
 
 def bracket_columns(V: Array, W: Array) -> Array:
-    """[V_j, W_j] for the columns of (..., 6, n) twists."""
-    v, w, x, y = V[..., :3, :], V[..., 3:, :], W[..., :3, :], W[..., 3:, :]
-    return np.concatenate([cross_columns(w, x) + cross_columns(v, y), cross_columns(w, y)], axis=-2)
+    """[V_j, W_j] for the columns of (6, n, m) twists."""
+    both = _crosses(V, W, *BRACKET)
+    return np.concatenate([both[:3] + both[3:6], both[6:]])
+
+
+def _crosses(V: Array, W: Array, v: tuple[Ints, Ints], w: tuple[Ints, Ints]) -> Array:
+    """(9, n, m) three cross products of halves of the columns of V (6, n, m) and of W; n may be 1 in one of them."""
+    return np.asarray(V[v[0]] * W[w[1]] - V[v[1]] * W[w[0]])
+
+
+def _before(parts: Array) -> Array:
+    """(6, n, m) sums of the columns before each; numpy's cumulative sum takes several times as long."""
+    out = np.zeros(parts.shape)
+    for k in range(1, parts.shape[1]):
+        np.add(out[:, k - 1], parts[:, k - 1], out=out[:, k])
+    return out
+
+
+def _points_last(M: Array, lead: tuple[int, ...]) -> Array:
+    """(r, n, m) of matrices (..., r, n) at the points ``lead``."""
+    if not lead:
+        return M[..., None]
+    if M.shape[:-2] != lead:
+        M = np.broadcast_to(M, (*lead, *M.shape[-2:]))
+    return np.ascontiguousarray(np.moveaxis(M.reshape(-1, *M.shape[-2:]), 0, -1))
+
+
+def _points_first(M: Array, lead: tuple[int, ...]) -> Array:
+    """(..., r, n) of (r, n, m)."""
+    return np.ascontiguousarray(np.moveaxis(M, -1, 0)).reshape(*lead, *M.shape[:2])
