@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from mfc_analysis.analysis.delay.roots import delay_roots
-from mfc_analysis.analysis.delay.steps import delayed_runner, longest_run, longest_step, never_settled
+from mfc_analysis.analysis.delay.roots import delay_roots, slow_rates
+from mfc_analysis.analysis.delay.steps import delayed_runner, grid, longest_shown, longest_step, never_settled
 from mfc_analysis.analysis.modal_response import ModalPieces, terms
 from mfc_analysis.analysis.modes import Mode, modes
 from mfc_analysis.analysis.slow import MOVES
@@ -22,8 +22,8 @@ from mfc_analysis.errors import BadArgument
 from mfc_analysis.maths.arrays import Array, Ints
 
 MOST_SAMPLES = 60_000_000  #: of a sampled loop
-DIED = 14.0  #: time constants of the slowest characteristic root in a run with dead time,
-ROOTS = 8  #: of those that are looked at
+DIED = 14.0  #: time constants of the slowest characteristic root in a run with dead time
+NOISE = 1e-8  #: of the largest response of an output: one within that of its end counts as settled there
 AFFORDED = 50_000  #: steps of such a run, unless it takes more to settle
 
 
@@ -103,13 +103,14 @@ class Point:
         return found
 
     def _delayed_metrics(self, into: Ints, out: Ints, steady: Array) -> dict[str, Array]:
-        """The same with dead time, from a run to where the slowest characteristic root has died away, or as far as ``AFFORDED`` steps go."""
+        """The same with dead time, from a run to where the slowest characteristic root has died away, or as far as ``AFFORDED`` steps go.
+
+        It is repeated, twice as long, until all have settled: a root that decays slowly and turns fast shows in the run itself.
+        """
         system = self.system
-        roots = delay_roots(system, ROOTS)[0]
-        decay = -roots.real[np.isfinite(roots.real) & (np.abs(roots) >= system.radius)]
+        decay = slow_rates(system)
         longest = min(max([DIED / x for x in decay if x > 0], default=0.0), AFFORDED * longest_step(system))
-        most = longest_run(system)
-        longest = min(max(longest, 10 * float(system.wire_delay.max())), most)
+        longest = max(longest, 10 * float(system.wire_delay.max()))
         found = {name: np.zeros(steady.size) for name in (*METRICS, "longest")}
         rows = np.unique(out)
         for group in input_groups(between(system, range(system.nu), rows)):
@@ -117,16 +118,18 @@ class Point:
             run = delayed_runner(between(system, group, rows))
             left, duration = np.flatnonzero(np.isin(into, group)), longest
             while left.size:
-                piece = run(duration, FEWEST).of(np.searchsorted(rows, out[left]) * group.size + np.searchsorted(group, into[left]))
-                new = metrics_of(piece, steady[left])
-                settled = new["settling"] < 0.9 * duration
+                whole, row = run(duration, FEWEST), np.searchsorted(rows, out[left])
+                piece = whole.of(row * group.size + np.searchsorted(group, into[left]))
+                least = NOISE * np.abs(whole.ends[0]).max(axis=1).reshape(rows.size, -1).max(axis=1)
+                new, reached = metrics_of(piece, steady[left], least[row]), float(piece.t[-1])
+                settled = new["settling"] < 0.9 * reached
                 for name, values in new.items():
                     found[name][left[settled]] = values[settled]
-                found["longest"][left] = duration
+                found["longest"][left] = reached
                 left = left[~settled]
-                if left.size and duration >= most:
-                    raise never_settled(system, int(into[left[0]]), int(out[left[0]]), float(min(decay, default=0.0)))
-                duration = min(2 * duration, most)
+                if left.size and reached < duration * (1 - 1e-9):
+                    raise never_settled(system, int(into[left[0]]), int(out[left[0]]), float(min(decay, default=0.0)), reached)
+                duration *= 2
         return found
 
     def samples(
@@ -137,10 +140,12 @@ class Point:
         if duration is None:
             turned = peak_time if overshoot > 0 else 0.0
             duration = float(max(2 * settling, 1.2 * turned) or longest) if outcome is Outcome.SETTLES else self._unsettled()
-            duration = min(duration, longest_run(system)) if system.delayed else duration
+            duration = min(duration, longest_shown(system)) if system.delayed else duration
         if system.delayed:
-            t, values = delayed_runner(system)(duration, self._count(duration)).samples
-            return t, values[0]
+            h, steps = grid(system, duration, self._count(duration))
+            run = delayed_runner(system)(h * steps, steps)
+            t = np.asarray(h * np.arange(min(steps, int(run.t[-1] / h * (1 + 1e-9))) + 1), float)
+            return t, run.values(t)[0]
         if dt:
             count = max(2, int(np.ceil(duration / dt * (1 - 1e-12))))
             if count > MOST_SAMPLES:

@@ -16,6 +16,7 @@ from mfc_analysis.maths.arrays import Array, Bools, Ints
 
 BAND = 0.02  #: settling band
 METRICS = ("rise", "settling", "overshoot", "undershoot", "peak", "peak_time")
+NO_END = 1e-7  #: of its peak: a response that ends below that returns to zero
 PARTS = (0.1, 0.9)  #: of the final value, between which a response rises
 LOOKS = np.linspace(0.0, 1.0, 6)  #: places in a section between which the slope changes its sign at most once
 CLOSE = 1e-10  #: last move of a search in theta; Newton's next one is about its square
@@ -136,16 +137,16 @@ def _root(c: Array, low: Array, high: Array, rises: Bools) -> Array:
     return np.asarray(x)
 
 
-def metrics_of(run: Piece, steady: Array) -> dict[str, Array]:
+def metrics_of(run: Piece, steady: Array, least: Array | float = 0.0) -> dict[str, Array]:
     """``metrics`` of responses that end with this piece."""
-    return metrics(lambda _, which: run.of(which), steady, np.full((1, steady.size), np.inf))
+    return metrics(lambda _, which: run.of(which), steady, np.full((1, steady.size), np.inf), least)
 
 
-def metrics(piece: Callable[[int, Ints], Piece], steady: Array, reach: Array) -> dict[str, Array]:
+def metrics(piece: Callable[[int, Ints], Piece], steady: Array, reach: Array, least: Array | float = 0.0) -> dict[str, Array]:
     """Rise, settling [s], overshoot, undershoot, peak and its time [s] (P,) of responses that end at ``steady`` (P,).
 
     ``piece(i, which)``: piece i of the responses ``which``. ``reach`` (pieces, P): bounds of abs(y - steady) from each piece on, decreasing;
-    pieces that cannot matter are not looked at.
+    pieces that cannot matter are not looked at. ``least`` (P,): the band is at least as wide, the error of the responses.
     """
     P, end = steady.size, np.abs(steady)
     sign = np.where(steady < 0, -1.0, 1.0)
@@ -173,8 +174,8 @@ def metrics(piece: Callable[[int, Ints], Piece], steady: Array, reach: Array) ->
     (top, bottom), (top_at, bottom_at) = value, when
     below = bottom > np.maximum(top, end)
     peak = np.maximum(np.maximum(bottom, top), end)
-    none = end <= 1e-9 * peak
-    band = BAND * np.where(none, peak, end)
+    none = end <= NO_END * peak
+    band = np.maximum(BAND * np.where(none, peak, end), least)
     settling, inside = np.zeros(P), np.ones(P, bool)
     for i in range(len(reach) - 1, -1, -1):
         which = np.flatnonzero(inside & (reach[i] > band))

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mfc_analysis.analysis.delay.steps import delayed_runner, longest_step
+from mfc_analysis.analysis.delay.steps import delayed_runner, longest_step, too_long
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.maths.arrays import Array, Ints
 from mfc_analysis.maths.zero_order_hold import zero_order_hold
@@ -35,6 +35,8 @@ def step_samples(system: OpenSystem, times: Array) -> Array:
             for into in input_groups(system):
                 one = between(system.at(np.array([i])), into, range(ny))
                 run = delayed_runner(one)(float(times[-1]) or longest_step(one), FEWEST)
+                if run.t[-1] < times[-1] * (1 - 1e-9):
+                    raise too_long(one, float(times[-1]), float(run.t[-1]))
                 out[i][:, into] = run.values(times).reshape(ny, into.size, -1)
         return out
     chunk = max(1, VALUES // max(1, ny * nu * times.size))

@@ -20,6 +20,7 @@ def _rows(*halves: int) -> tuple[Ints, Ints]:
 BRACKET = _rows(1, 0, 1), _rows(0, 1, 1)  #: of two twists: w x v', v x w' and w x w'
 TURNED = _rows(1, 0, 1), _rows(0, 0, 1)  #: of a twist and a wrench: w x f, v x f and w x m
 
+
 def bracketed(calls: Calls, J: Array, x: Array) -> Array:
     """d(J x)/dq with x held: column j is [sum over i < j of J_i x_i, J_j], (..., 6, n)."""
     lead = np.broadcast_shapes(J.shape[:-2], x.shape[:-1])

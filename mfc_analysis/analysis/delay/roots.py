@@ -25,6 +25,7 @@ from mfc_analysis.maths.arrays import Array, Complex, Ints, on_axis
 from mfc_analysis.maths.checks import whole
 
 MOST_NODES = 200  #: for one wire
+FEW_NODES, RESOLVED = 8, 2.0  #: nodes of a wire that suffice for roots that turn less than so many radians in its dead time
 MOST_ROOTS = 10_000  #: roots asked for
 MOST_SIZE = 600  #: of the collocated matrix
 NEAR = 1e-2  #: relative distance to a root of the collocation up to which another is that one
@@ -54,6 +55,13 @@ def delay_roots(system: OpenSystem, count: int = 6, slow: Sequence[Complex] | No
         roots = _ordered(np.concatenate([some, rightmost(point, count, system.radius)]))[:count]
         out[i, : roots.size] = roots
     return out
+
+
+def slow_rates(system: OpenSystem) -> Array:
+    """Decay rates [1/s] of the roots that are not slow and turn less than ``RESOLVED`` in a dead time, of a system with one point; not polished."""
+    (point,) = delayed_points(system)
+    roots = _fast(_collocated(point, np.full(point.T.size, FEW_NODES)), system.radius)
+    return np.asarray(-roots.real[np.abs(roots) * point.T.max() < RESOLVED], float)
 
 
 def rightmost(point: Delayed, count: int, radius: float) -> Complex:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.special import lambertw
 
 import mfc_analysis as mfc
-from mfc_analysis.analysis.delay.roots import delay_roots
+from mfc_analysis.analysis.delay.roots import delay_roots, slow_rates
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import OpenSystem
 from mfc_analysis.errors import BadArgument, Unsupported
@@ -185,3 +185,13 @@ def test_the_copies_of_a_multiple_unstable_root_are_not_listed_twice(T):
     slope = (2 * M * found + D) * slow**2 + 2 * lag * (M * found + D) * found * slow - T * late
     np.testing.assert_array_less(np.abs(f / slope), 1e-9 * np.abs(found))
     np.testing.assert_allclose(found[:3], found[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("T", [0.01, 0.2])
+def test_rates_of_slow_roots_without_newton_are_those_of_the_roots(rng, T):
+    system = random_loops(rng, 20, 4, 2)
+    for i in np.flatnonzero(stability(replace(system, wire_delay=np.full(2, T))).stable)[:5]:
+        one = replace(system.at(np.array([i])), wire_delay=np.full(2, T))
+        found, roots = slow_rates(one), delay_roots(one, 12)[0]
+        near = roots[np.abs(roots) * T < 1.9]
+        assert near.size and np.abs(found[:, None] + near.real).min(axis=0).max() < 1e-4 * np.abs(near).max()

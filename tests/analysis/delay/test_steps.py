@@ -9,6 +9,7 @@ import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.special import gammainc
 
 from mfc_analysis.analysis.delay import steps as module
 from mfc_analysis.analysis.stability import stability
@@ -103,12 +104,39 @@ def test_a_response_that_does_not_settle_is_shown_as_far_as_steps_are_afforded()
 def test_steps_in_blocks_are_the_steps_one_by_one(rng, monkeypatch, T):
     h, delay = 0.1 if T != [0.25, 0.32] else 0.25 / 3, np.array(T)
     A, B = np.array([[-1.0, 4.0, 0.0], [-4.0, -1.0, 1.0], [0.0, 0.0, -9.0]]), rng.normal(size=(3, 4))
-    table = module._one_step(A, B, 0.1 * rng.normal(size=(3, 3)), 0.1 * rng.normal(size=(3, 4)), h, 2)
-    march = module._Steps(table, 3, delay, h)
-    march.together, march.powers = 1, march.powers[:1]
-    wanted = march.taken(1003, np.zeros((3, 2)), np.zeros((march.deep, 2, 4, 2)), np.eye(2))[0]
-    wanted = wanted.reshape(1003, -1, 4, 2).transpose(2, 1, 3, 0).reshape(4, -1, 1003)
-    for wide, long in ((0, 1), (10_000, 0.1)):
-        monkeypatch.setattr(module, "WIDE", wide)
-        monkeypatch.setattr(module, "LONG", long)
-        assert_allclose(module._marched(table, 3, delay, h, 1003, 2), wanted, atol=1e-12 * np.abs(wanted).max())
+    march = module._Steps(A, B, 0.1 * rng.normal(size=(3, 3)), 0.1 * rng.normal(size=(3, 4)), delay, h, 2)
+    plain = module._Steps(*march.loop, delay, h, 2)
+    plain.together, plain.powers = 1, march.powers[:1]
+    wanted = plain.taken(1003, plain.start(), np.eye(2))
+    for found in (march.taken(1003, march.start(), np.eye(2)), march.run(1003, march.start(), 10**9)):
+        for one, other in zip(found, wanted, strict=True):
+            assert_allclose(one, other, atol=1e-12 * np.abs(other).max())
+
+
+@pytest.mark.parametrize(("a", "T", "off"), [(300.0, 0.1, 3e-9), (3000.0, 0.1, 3e-7), (100.0, 0.02, 3e-9)])
+def test_a_fast_pole_that_the_law_cancels_without_dead_time_is_followed(a, T, off):
+    """x' = -a x + (a - 1) x(t - T) + 1 from rest: sum of (a - 1)^j / a^(j + 1) P(j + 1, a (t - j T)), P the incomplete gamma function.
+
+    Where 1024 steps in the dead time are longer than 0.05 / a, the error is that of the cubic in such a step.
+    """
+    one = replace(plain_integrator(1.0, T), A=np.full((1, 1, 1), -a), C=np.array([[[1.0], [a - 1]]]))
+    found = module.delayed_runner(one)(2.0, 10)
+    t = np.linspace(0.0, 2.0, 2001)
+    j = np.arange(int(2.0 / T) + 1)[:, None]
+    wanted = np.sum(np.exp(j * np.log((a - 1) / a)) / a * gammainc(j + 1, a * np.maximum(t - j * T, 0.0)), axis=0)
+    assert_allclose(found.values(t)[0], wanted, atol=off * wanted.max())
+
+
+@pytest.mark.parametrize("T", [[0.01, 0.01], [0.01, 0.013]])
+def test_longer_steps_are_taken_where_the_response_is_smooth_and_change_nothing_else(rng, monkeypatch, T):
+    """Two loops, one with a fast pole, coupled: the run of 30 s has a part of the steps, and the same values between them."""
+    A = np.array([[0.0, 1.0, 0.0, 0.0], [-4.0, -2.0, 1.0, 0.0], [0.0, 0.0, -1.0, 1.0], [0.0, 0.5, 0.0, -300.0]])
+    B, C = np.array([[0, 0, 0], [2.0, 0, 1.0], [0, 0, 0], [0, 90.0, 0]]), np.array([[1.0, 0, 0, 0], [-1.0, -0.3, 0, 0], [0, 0, -0.5, 0.0]])
+    one = replace(plain_integrator(1.0, 0.01), A=A[None], B=B[:, [2, 0, 1]][None], C=C[None], D=np.zeros((1, 3, 3)), state_names=tuple("abcd"))
+    one = replace(one, wires={"torque": slice(0, 2)}, wire_names=("1", "2"), wire_delay=np.array(T))
+    found = module.delayed_runner(one)(30.0, 10)
+    monkeypatch.setattr(module, "SAME", 0.0)
+    wanted = module.delayed_runner(one)(30.0, 10)
+    assert found.t.size < 0.15 * wanted.t.size
+    t = np.linspace(0.0, 30.0, 3001)
+    assert_allclose(found.values(t), wanted.values(t), atol=2e-9)
