@@ -15,7 +15,7 @@ from mfc_analysis.analysis.modes import Mode, modes
 from mfc_analysis.analysis.slow import MOVES
 from mfc_analysis.analysis.spectrum import spectrum
 from mfc_analysis.analysis.stability import stability
-from mfc_analysis.analysis.step_run import METRICS, metrics, metrics_of
+from mfc_analysis.analysis.step_run import METRICS, Piece, metrics, metrics_of
 from mfc_analysis.analysis.step_samples import FEWEST, between, input_groups, step_samples
 from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import BadArgument
@@ -24,6 +24,7 @@ from mfc_analysis.maths.arrays import Array, Ints
 MOST_SAMPLES = 60_000_000  #: of a sampled loop
 DIED = 14.0  #: time constants of the slowest characteristic root in a run with dead time
 NOISE = 1e-8  #: of the largest response of an output: one within that of its end counts as settled there
+STILL = 0.5  #: of its distance from the final value: a response that moves less in the second half of its run stands still
 AFFORDED = 50_000  #: steps of such a run, unless it takes more to settle
 
 
@@ -109,8 +110,8 @@ class Point:
         """
         system = self.system
         decay = slow_rates(system)
-        longest = min(max([DIED / x for x in decay if x > 0], default=0.0), AFFORDED * longest_step(system))
-        longest = max(longest, 10 * float(system.wire_delay.max()))
+        died = max([DIED / x for x in decay if x > 0], default=0.0)
+        longest = max(min(died, AFFORDED * longest_step(system)), 10 * float(system.wire_delay.max()))
         found = {name: np.zeros(steady.size) for name in (*METRICS, "longest")}
         rows = np.unique(out)
         for group in input_groups(between(system, range(system.nu), rows)):
@@ -119,9 +120,11 @@ class Point:
             left, duration = np.flatnonzero(np.isin(into, group)), longest
             while left.size:
                 whole, row = run(duration, FEWEST), np.searchsorted(rows, out[left])
-                piece = whole.of(row * group.size + np.searchsorted(group, into[left]))
-                least = NOISE * np.abs(whole.ends[0]).max(axis=1).reshape(rows.size, -1).max(axis=1)
-                new, reached = metrics_of(piece, steady[left], least[row]), float(piece.t[-1])
+                piece, reached = whole.of(row * group.size + np.searchsorted(group, into[left])), float(whole.t[-1])
+                error = NOISE * np.abs(whole.ends[0]).max(axis=1).reshape(rows.size, -1).max(axis=1)[row]
+                if reached >= died:
+                    error = np.maximum(error, _beside(piece, steady[left]))
+                new = metrics_of(piece, steady[left], error)
                 settled = new["settling"] < 0.9 * reached
                 for name, values in new.items():
                     found[name][left[settled]] = values[settled]
@@ -175,3 +178,10 @@ class Point:
             return max(1, round(duration / self.system.dt))
         turns = duration * max((np.abs(mode.rates.imag).max() for mode in self.modes), default=0.0) / (2 * np.pi)
         return int(np.clip(16 * turns, FEWEST, 20 * FEWEST))
+
+
+def _beside(run: Piece, steady: Array) -> Array:
+    """(P,) how far beside ``steady`` each response stands still, for which it is not moving: the error of a final value; 0 where it moves."""
+    second = run.samples[1][:, run.t.size // 2 :]
+    off = np.abs(second[:, -1] - steady)
+    return np.where(np.ptp(second, axis=1) < STILL * off, (1 + STILL) * off, 0.0)

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import gammainc
 
+import mfc_analysis as mfc
 from mfc_analysis.analysis.delay import steps as module
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.step_metrics import Outcome
@@ -140,3 +141,13 @@ def test_longer_steps_are_taken_where_the_response_is_smooth_and_change_nothing_
     assert found.t.size < 0.15 * wanted.t.size
     t = np.linspace(0.0, 30.0, 3001)
     assert_allclose(found.values(t), wanted.values(t), atol=2e-9)
+
+
+def test_a_response_below_the_error_of_the_others_does_not_keep_them_from_settling():
+    """An arm whose wrist hardly moves its shoulder: the response of that pair is rounding, and so is its final value."""
+    hold, hardware = mfc.trajectories.Hold(np.array([0, -0.9, 1.6, -0.7, 1.57, 0.0])), mfc.Hardware(delay=1e-3, torque_lag=4e-3)
+    loop = mfc.ClosedLoop(mfc.robots.ur5(), mfc.laws.ComputedTorque(kp=528.0, ki=3040.0, kd=57.6), hold, hardware=hardware)
+    lin = loop.linearize()
+    found, alone = lin.steps([0.0, 0.1]), lin.step(input=0, output=0)
+    assert np.isfinite(found.settling).all()
+    assert found[0, 0, 0].settling == pytest.approx(alone.settling, rel=1e-9)
