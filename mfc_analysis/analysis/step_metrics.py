@@ -24,6 +24,7 @@ from mfc_analysis.maths.arrays import Array, Ints
 MOST_SAMPLES = 60_000_000  #: of a sampled loop
 DIED = 14.0  #: time constants of the slowest characteristic root in a run with dead time
 NOISE = 1e-8  #: of the largest response of an output: one within that of its end counts as settled there
+ROUNDING = 1e-13  #: of the largest of all outputs, likewise
 STILL = 0.5  #: of its distance from the final value: a response that moves less in the second half of its run stands still
 AFFORDED = 50_000  #: steps of such a run, unless it takes more to settle
 
@@ -121,7 +122,8 @@ class Point:
             while left.size:
                 whole, row = run(duration, FEWEST), np.searchsorted(rows, out[left])
                 piece, reached = whole.of(row * group.size + np.searchsorted(group, into[left])), float(whole.t[-1])
-                error = NOISE * np.abs(whole.ends[0]).max(axis=1).reshape(rows.size, -1).max(axis=1)[row]
+                largest = np.abs(whole.ends[0]).max(axis=1).reshape(rows.size, -1).max(axis=1)
+                error = np.maximum(NOISE * largest[row], ROUNDING * largest.max())
                 if reached >= died:
                     error = np.maximum(error, _beside(piece, steady[left]))
                 new = metrics_of(piece, steady[left], error)
