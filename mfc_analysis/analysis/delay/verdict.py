@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -82,27 +83,29 @@ def _counted(every: Stacked, points: list[Delayed], radius: float) -> list[tuple
     surely = 1, np.zeros(0)
     some = np.flatnonzero([point.strongest_direct < CERTAINLY for point in points])
     found = iter(unstable_counts(every.some(some), radius, FEW) if some.size else [])
-    out = []
+    out, last = [], np.zeros(0, np.complex128)
     for point in points:
         count = surely if point.strongest_direct >= CERTAINLY else next(found)
         if isinstance(count, NotConverged):  # a long contour: a root that is easily found saves it
-            count = surely if some_unstable(point, radius) else unstable_roots(point, radius)
+            root = some_unstable(point, radius, last)
+            count, last = (unstable_roots(point, radius), last) if root is None else (surely, np.array([root]))
         out.append((count.number, count.axis.s.imag) if isinstance(count, Count) else count)
     return out
 
 
-def some_unstable(point: Delayed, radius: float) -> bool:
-    """True where a root in the unstable region is found near a place at which an eigenvalue of E G is above one; proved by the winding about it."""
-    for s in chain(point)[:TRIED]:
+def some_unstable(point: Delayed, radius: float, near: Complex) -> complex | None:
+    """A root in the unstable region, proved by the winding about it: close to ``near`` (k,), those of a similar loop, or else near a place at which
+    an eigenvalue of E G is above one. None where none is found."""
+    for s in (root for search in (partial(_polished, point, near), partial(chain, point)) for root in search()[:TRIED]):
         size = min(0.5 * s.real, 0.5 / float(point.T.max()))
         if abs(s) - size <= radius:
             continue
         try:
             if roots_within(point, size, s):
-                return True
+                return complex(s)
         except NotConverged:
             continue
-    return False
+    return None
 
 
 def chain(point: Delayed) -> Complex:
@@ -124,11 +127,30 @@ def chain(point: Delayed) -> Complex:
                 found = _eigenvalues(point, s)
                 step = np.asarray(-np.log(found[np.arange(s.size), np.abs(np.log(found)).argmin(axis=1)]) / T, np.complex128)
             else:
-                step = np.asarray(1 / point.value(s, np.zeros(0, np.complex128))[1], np.complex128)
+                step = _newton_step(point, s)
             s = np.asarray(s - step, np.complex128)
-    s = s[np.isfinite(s) & (s.real > NARROW * np.abs(s)) & (s.imag > 0) & (np.abs(step) < 1e-3 * s.real)]
-    s = s[np.argsort(-s.real)]
+    s = _unstable(s, step)
     return np.asarray(s[np.concatenate([[True], np.abs(np.diff(s)) > 1e-9 * np.abs(s[1:])])] if s.size else s, np.complex128)
+
+
+def _polished(point: Delayed, near: Complex) -> Complex:
+    """Unstable roots by Newton from ``near`` (k,)."""
+    s, step = near, np.zeros(near.shape, np.complex128)
+    with np.errstate(all="ignore"):
+        for _ in range(NEWTON if near.size else 0):
+            step = _newton_step(point, s)
+            s = np.asarray(s - step, np.complex128)
+    return _unstable(s, step)
+
+
+def _newton_step(point: Delayed, s: Complex) -> Complex:
+    return np.asarray(1 / point.value(s, np.zeros(0, np.complex128))[1], np.complex128)
+
+
+def _unstable(s: Complex, step: Complex) -> Complex:
+    """Of the ends (k,) of a search and its last steps: those that have settled at an unstable root, rightmost first."""
+    s = s[np.isfinite(s) & (s.real > NARROW * np.abs(s)) & (s.imag > 0) & (np.abs(step) < 1e-3 * s.real)]
+    return np.asarray(s[np.argsort(-s.real)], np.complex128)
 
 
 def _apart(x: Array, gap: float) -> Array:

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.special import lambertw
 
 import mfc_analysis as mfc
+from mfc_analysis.analysis.delay import verdict as module
 from mfc_analysis.analysis.delay.characteristic import delayed_points
 from mfc_analysis.analysis.delay.count import unstable_roots
 from mfc_analysis.analysis.delay.verdict import LONGEST, chain, delayed_verdicts, some_unstable, unstable_count
@@ -84,8 +85,16 @@ def test_unstable_roots_are_found_only_where_there_are_some(rng):
         count = unstable_roots(point, system.radius)[0]
         unstable += count > 0
         assert (unstable_count(point, system.radius) > 0) == (count > 0)
-        assert count or not some_unstable(point, system.radius)
+        assert count or some_unstable(point, system.radius, np.array([0.3 + 5j, 2 + 1j])) is None
     assert 10 < unstable < 50
+
+
+def test_the_unstable_root_of_a_similar_loop_leads_to_one(monkeypatch):
+    """x' = -400 x(t - 1) and a little more: the root is that of Lambert's function next to the known one, and no other place is looked at."""
+    known = np.array([lambertw(-400.0, 3)])
+    (point,) = delayed_points(open_system(401.0 / s, delay=1.0))
+    monkeypatch.setattr(module, "chain", lambda _: pytest.fail("another place is looked at"))
+    assert_allclose(some_unstable(point, 0.01, known), lambertw(-401.0, 3), rtol=1e-9)
 
 
 def test_the_chain_holds_the_unstable_roots_of_a_long_dead_time():
