@@ -23,6 +23,7 @@ FINEST, SHOWN = 1024, 60  #: steps, and samples, in the shortest dead time
 MOST_STEPS = 1_000_000
 WIDE, BLOCK = 600, 64  #: numbers that say all of the past, up to which the steps of a block are one matrix, and the steps in one;
 LONG = 20  #: steps of a run for each of these numbers, from which on the matrix saves more than it costs
+DEEPEST = 16_384  #: steps in the longest dead time, where the shortest allows that
 FINER = 8  #: times shorter are the first steps where a dead time is no whole number of them: a kink within a step is smeared over it
 SAME, FAINT = 1e-9, 1e-3  #: of the largest value of a signal: what two step lengths may differ by; of its largest one of all inputs
 LOOK = 0.25  #: of the time so far: how often longer steps are tried
@@ -45,10 +46,10 @@ def delayed_runner(system: OpenSystem) -> Callable[[float, int], Piece]:
     rows = np.concatenate([ny + np.arange(T.size), np.arange(ny)])
 
     def run(duration: float, samples: int) -> Piece:
-        loop, wanted = (A, B[:, columns], C[rows], D[np.ix_(rows, columns)], T), min(duration / samples, longest)
+        loop, wanted = (A, B[:, columns], C[rows], D[np.ix_(rows, columns)], T), max(min(duration / samples, longest), T.max() / DEEPEST)
         h = T.min() / 2 ** np.ceil(np.log2(max(T.min() / wanted * (1 - 1e-12), 1)))
         first = _Steps(*loop, h, nu)
-        t, y = _marched(first if first.whole else _Steps(*loop, h / FINER, nu), duration)
+        t, y = _marched(first if first.whole or first.deep * FINER > DEEPEST else _Steps(*loop, h / FINER, nu), duration)
         y[1::2] *= np.diff(t)
         return Piece(t, y, CUBIC)
 
