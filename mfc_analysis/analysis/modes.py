@@ -21,6 +21,7 @@ from scipy.linalg import expm, get_lapack_funcs, matrix_balance, schur
 from mfc_analysis.maths.arrays import Array, Complex, Ints
 
 GAPS = (1e-4, 1e-3, 1e-2, 0.1, 0.5)  #: relative distances below which two eigenvalues share a mode, tried in turn
+LEAST = 1e-100  #: of the largest entry of A, or [1/s]: entries that count as 0
 COUPLED = 1e4  #: amplification of a mode against the others with which a gap is good enough; else the gap with the least
 SPLIT = 1e-7  #: of the size of A: eigenvalues that rounding may have split off a multiple one at zero
 ROUNDING = 100 * float(np.finfo(float).eps)  #: of the size of A, times that amplification: an eigenvalue's error
@@ -59,6 +60,7 @@ def modes(A: Array, radius: float = 0.0) -> list[Mode]:
     """The modes of A (nx, nx). No mode has eigenvalues on both sides of abs(s) = ``radius`` [1/s]; those that rounding may split are together."""
     if not len(A):
         return []
+    A = np.where(np.abs(A) > LEAST * max(1.0, float(np.abs(A).max())), A, 0.0)  # LAPACK balances and factors no matrix with such entries
     balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
     size = float(np.abs(balanced).max(initial=0.0))
     split = min(radius, SPLIT * size)

@@ -349,3 +349,9 @@ def test_an_index_that_is_not_three_numbers_is_refused_by_name(where):
     found = ur5(*LOOPS["wrong model"], [0.3]).steps(np.linspace(0.0, 1.0, 3))
     with pytest.raises(BadArgument, match="index"):
         found[where]
+
+
+@pytest.mark.parametrize("law", [mfc.laws.ComputedTorque(kp=1e-300), mfc.laws.VelocityP(1e-300)])
+def test_gains_that_are_next_to_nothing_ramp_as_none_do(law):
+    found = mfc.ClosedLoop(mfc.robots.ur5(), law, mfc.trajectories.Hold(np.full(6, 0.3))).linearize().steps([0.0, 0.1], inputs=[6])
+    assert set(found.outcome[0, :6, 0]) <= {Outcome.RAMPS, Outcome.SETTLES} and np.isinf(found.settling[0, 0, 0])
