@@ -63,6 +63,14 @@ def one_step() -> Found:
     return paired(lambda: lin.step(0, input=0, output=0), lambda: control.step_response(one, grid))
 
 
+def late_steps() -> Found:
+    """Metrics of 36 responses with dead time at one point; the rival's responses have a Pade approximation of it, and no metrics."""
+    lin, t, joints = computed_torque(hardware=LATE).linearize([0.0]), np.linspace(0.0, 4.0, 4001), range(6)
+    one = lin.system(0, pade=5)[:6, :6]
+    assert np.isfinite(lin.steps(t, joints, joints).settling).all()
+    return paired(lambda: lin.steps([0.0, 1.0], joints, joints).settling, lambda: control.step_response(one, t), 36)
+
+
 def all_steps(reference: str) -> Found:
     """36 responses at 20 points, 301 samples."""
     lin, t, joints = computed_torque().linearize(np.linspace(0.0, 4.0, 20)), np.linspace(0.0, 4.0, 301), range(6)
@@ -141,6 +149,7 @@ ROWS = (
     Row("36 step responses, 301 samples", "control.step_response", lambda: all_steps("control"), 1 / 20),
     Row("36 step responses, 301 samples", "batched expm, x[k+1] = Phi x[k] + Gamma", lambda: all_steps("expm"), 4.0),
     Row("36 step responses with metrics, per response", "lin.step one by one", lambda: all_steps("single"), 1 / 10),
+    Row("metrics of 36 step responses with 4 ms of dead time, per response", "control.step_response, Pade, 4001 samples, per response", late_steps),
     Row("disk margin of 6 loops, 300 frequencies", "control.disk_margins", disk, 1 / 30),
     Row("the period map of a Floquet iteration", "A at 160 times + 80 expm", floquet_step, 3.0),
     Row("memory of A, B, C, D", "", lambda: per_point("A"), unit="bytes/point"),
