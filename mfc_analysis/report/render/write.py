@@ -75,23 +75,21 @@ def rendered(document: Document, formats: Sequence[str] = FORMATS, *, timestamp:
         drawings = dict(zip(flat.figures, drawn([f.draw for f in flat.figures.values()], progress=count), strict=True))
         moving = {key: scrubber.moving(s) for key, s in flat.scrubbers.items()}
 
-    def content(kind: str) -> bytes:
-        if kind == "html":
-            from mfc_analysis.report.render.html import html
-            from mfc_analysis.report.render.mathml import mathml
+    make: dict[str, Callable[[], bytes]] = {"json": lambda: to_json(numbers(document, flat, version)).encode("utf-8")}
+    if "html" in formats:  # imported before there are two threads: under pytest an import parses, and CPython 3.11 does not parse in two at once
+        from mfc_analysis.report.render.html import html
+        from mfc_analysis.report.render.mathml import mathml
 
-            return html(flat, drawings, mathml(flat.equations), moving, version).encode("utf-8")
-        if kind == "pdf":
-            from mfc_analysis.report.render.pdf import pdf
+        make["html"] = lambda: html(flat, drawings, mathml(flat.equations), moving, version).encode("utf-8")
+    if "pdf" in formats:
+        from mfc_analysis.report.render.pdf import pdf
 
-            return pdf(flat, drawings, moving, version, timestamp)
-        return to_json(numbers(document, flat, version)).encode("utf-8")
-
+        make["pdf"] = lambda: pdf(flat, drawings, moving, version, timestamp)
     out: dict[str, bytes] = {}
     with ThreadPoolExecutor(1) as beside:  # Typst needs no lock of Python: the other formats are made at the same time
-        printed = beside.submit(content, "pdf") if "pdf" in formats else None
+        printed = beside.submit(make["pdf"]) if "pdf" in formats else None
         for kind in sorted(formats, key="pdf".__eq__):
-            out[kind] = content(kind) if kind != "pdf" or printed is None else printed.result()
+            out[kind] = make[kind]() if kind != "pdf" or printed is None else printed.result()
             count(1)
     return {kind: out[kind] for kind in formats}
 
