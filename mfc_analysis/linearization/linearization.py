@@ -361,7 +361,10 @@ class Linearization:
         return port_system(self.equations, own.opened, self.point.x, at)
 
     def frd(self, frequencies: ArrayLike, at: str | None = None, channel: int | str | None = None, index: int = 0) -> FrequencyResponseData:
-        """L(jw) at w [rad/s] of one channel at one time as ``control.FrequencyResponseData``, dead time included. Raises the errors of ``loop``."""
+        """L(jw) at w [rad/s] of one channel at one time as ``control.FrequencyResponseData``, dead time included. Raises the errors of ``loop``.
+
+        The other channels are closed with their dead time too, so it is not ``loop`` times exp(-jwT).
+        """
         from mfc_analysis.linearization.exported import measured_model
 
         at = self._at(at)
