@@ -64,11 +64,15 @@ class Step(Shown):
         return _response(self.t, self.y[None, None], (self.input,), (self.output,))
 
     def __str__(self) -> str:
+        what, band = f"step {self.input} -> {self.output} at t = {self.time:.4g} s", f"{100 * self.settling_band:g} %"
         if self.outcome is not Outcome.SETTLES:
-            return f"step {self.input} -> {self.output} at t = {self.time:.4g} s: {self.outcome.value}"
+            return f"{what}: {self.outcome.value}"
+        if np.isnan(self.rise):  # there is nothing to rise to
+            peak = f"peak {self.peak:.4g} at {self.peak_time:.4g} s, " if self.peak else ""
+            return f"{what}: returns to zero, {peak}settling {self.settling:.4g} s ({band} of the peak)"
         return (
-            f"step {self.input} -> {self.output} at t = {self.time:.4g} s: final value {self.steady_state:.4g}, rise {self.rise:.4g} s (10-90 %), "
-            f"settling {self.settling:.4g} s ({100 * self.settling_band:g} %), overshoot {100 * self.overshoot:.3g} %"
+            f"{what}: final value {self.steady_state:.4g}, rise {self.rise:.4g} s (10-90 %), settling {self.settling:.4g} s ({band}), "
+            f"overshoot {100 * self.overshoot:.3g} %"
         )
 
     __repr__ = __str__

@@ -73,6 +73,7 @@ def test_a_response_that_returns_to_zero_settles_within_its_peak_and_has_no_rise
     found = step(open_system(3 * s / (s + 1) ** 2), 0, "d", "y")
     assert found.steady_state == 0
     assert np.isnan(found.rise) and np.isnan(found.overshoot) and found.settling > 0 and found.peak > 0
+    assert "returns to zero, peak " in str(found) and "nan" not in str(found)
 
 
 def test_an_unstable_loop_has_no_metrics_but_samples():
