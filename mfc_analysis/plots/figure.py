@@ -7,6 +7,7 @@ would double the time, so each kind has its axes at fixed positions [inch]; a te
 from __future__ import annotations
 
 import io
+import math
 import os
 import threading
 from collections.abc import Sequence
@@ -284,12 +285,20 @@ def _letters(room: float, count: int) -> int:
 
 
 def logarithmic(ax: Axes, which: str) -> None:
-    """Makes the axes ``which`` ("x", "y" or "xy") logarithmic, with labels at decades only, as ``decade`` writes them."""
-    from matplotlib.ticker import FuncFormatter, NullLocator
+    """Makes the axes ``which`` ("x", "y" or "xy") logarithmic, with labels by ``decade``: at decades, at 1, 2 and 5 if only one shows."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    class Decades(LogLocator):
+        def tick_values(self, vmin: float, vmax: float) -> Any:
+            low, high = sorted((vmin, vmax))
+            few = low > 0 and math.floor(math.log10(high) + 1e-9) - math.ceil(math.log10(low) - 1e-9) < 1
+            self.set_params(subs=(1.0, 2.0, 5.0) if few else (1.0,))
+            return super().tick_values(vmin, vmax)
 
     for name in which:
         ax.set(**{f"{name}scale": "log"})
         axis = getattr(ax, f"{name}axis")
+        axis.set_major_locator(Decades())
         axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(lambda value, _: decade(value)))
 
@@ -332,14 +341,14 @@ def empty(ax: Axes, text: str, color: str = INK) -> None:
 
 
 def decade(value: float) -> str:
-    """A tick label on a logarithmic or log-symmetric axis: plain to 1000, a power of ten beyond."""
+    """A tick label on a logarithmic or log-symmetric axis: plain to 1000, a power of ten beyond, with its factor where that is not 1."""
     size = abs(value)
     if size == 0.0 or 1e-3 <= size < 2e3:
         return written(value, 4)
-    import math
-
-    power = str(round(math.log10(size))).translate(_RAISED)  # a formula would take ten times as long to set
-    return f"{MINUS if value < 0 else ''}10{power}"
+    exponent = math.floor(math.log10(size) + 1e-6)
+    factor = f"{size / 10.0**exponent:.3g}"
+    power = str(exponent).translate(_RAISED)  # a formula would take ten times as long to set
+    return f"{MINUS if value < 0 else ''}{'' if factor == '1' else factor + '×'}10{power}"
 
 
 def figure_of(drawn: Any) -> Figure:

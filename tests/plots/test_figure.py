@@ -194,3 +194,15 @@ def test_labels_of_logarithmic_axes_are_no_formulas():
     assert all(f">{label}</text>" in svg for label in ("10⁻⁴", "0.01", "1", "100", "10⁴", "0.1", "10"))
     assert "tspan" not in svg
     assert not ax.get_xticks(minor=True).size and not ax.get_yticks(minor=True).size
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"), [(1.0, 1e3, ["1", "10", "100", "1000"]), (3.0, 60.0, ["5", "10", "20", "50"]), (3e4, 8e4, ["5×10⁴"])]
+)
+def test_a_logarithmic_axis_with_one_decade_has_labels_between_the_decades(low, high, said):
+    ax = sheet.axes_for("map")
+    sheet.logarithmic(ax, "x")
+    ax.set_xlim(low, high)
+    ax.figure.canvas.draw()
+    found = [text.get_text() for tick, text in zip(ax.get_xticks(), ax.get_xticklabels(), strict=True) if low <= tick <= high]
+    assert set(said) <= set(found) and len(found) >= 2
