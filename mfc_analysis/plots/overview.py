@@ -62,5 +62,13 @@ def overview(loops: Sequence[str], metrics: Sequence[str], ratio: ArrayLike, wor
 
 def shortened(name: str) -> str:
     """A name that fits beside the bars: the end of a long one is left out."""
-    most = int(_NAME / 0.063)
-    return name if len(name) <= most else name[: most - 1].rstrip() + "…"
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    def fits(text: str) -> bool:
+        return bool(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0] / 72 <= _NAME - 0.02)
+
+    font, end = FontProperties(size=sheet.TEXT), len(name)
+    while end > 1 and not fits(name if end == len(name) else name[:end].rstrip() + "…"):
+        end -= 1
+    return name if end == len(name) else name[:end].rstrip() + "…"

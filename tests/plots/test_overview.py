@@ -33,3 +33,9 @@ def test_values_marks_and_names_are_words(monkeypatch: pytest.MonkeyPatch) -> No
     assert {"90.0", "∞", "–", "PASS", "WATCH", "DEMO", LOOPS[0], shortened(LOOPS[1])} <= set(said)
     assert shortened(LOOPS[1]).endswith("…") and shortened("open") == "open"
     assert not texts_on_texts(figure, monkeypatch)
+
+
+def test_a_name_that_fits_its_column_is_not_cut() -> None:
+    name = "9.11 inverse dynamics + PD, single joint"
+    assert shortened(name) == name
+    assert shortened("i" * 60) == "i" * 60 and len(shortened("W" * 60)) < 30
