@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mfc_analysis import plots
 from mfc_analysis.maths.arrays import Array
@@ -18,6 +19,7 @@ from mfc_analysis.requirements.line import Status
 
 if TYPE_CHECKING:
     from mfc_analysis.laws.gain import Gain
+    from mfc_analysis.laws.law import Law
 
 
 HARDWARE = {
@@ -36,6 +38,7 @@ HARDWARE = {
     "force_limit": ("limit of the force sensor", "N, Nm"),
     "force_deadband": ("dead band of the force", "N, Nm"),
 }
+TURNING = {"N": "N, Nm", "N/m": "N/m, Nm/rad", "Ns/m": "Ns/m, Nm s/rad", "kg": "kg, kg m²"}  #: units along and about the axes of the tool
 RULES = {"forward": "forward Euler", "backward": "backward Euler", "tustin": "Tustin"}
 
 
@@ -101,13 +104,25 @@ def diagram(view: View) -> Figure:
     )
 
 
+def gain_unit(law: Law, name: str, value: ArrayLike) -> str:
+    """The unit of a gain, as text: of forces at the tool also that about the axes where the gain acts there, "Ns/m, Nm s/rad"."""
+    unit = law.units.get(name, "").replace("^2", "²").replace("^3", "³")
+    if unit not in TURNING:
+        return unit
+    kinds = np.array(("m",) * 3 + ("rad",) * 3 if law.selection is None else law.selection.units)
+    a = np.asarray(value, float)
+    acts = np.full(kinds.shape, True) if a.size == 1 else (a != 0).reshape(len(a), -1).any(axis=1)
+    along, about = (bool((acts & (kinds == kind)).any()) for kind in ("m", "rad")) if acts.shape == kinds.shape else (True, True)
+    return TURNING[unit] if along and about else TURNING[unit].split(", ")[1] if about else unit
+
+
 def parameters(view: View) -> tuple[Block, ...]:
     """Tables of the gains and of robot, model, path, hardware and surfaces."""
     out: list[Block] = []
     law, n = view.loop.law, view.loop.robot.n
     rows = []
     for name, gain in law.gains().items():
-        unit = law.units.get(name, "").replace("^2", "²").replace("^3", "³")
+        unit = gain_unit(law, name, gain.array)
         rows.append((name, unit_words(unit, view.loop.robot.joint_units) if law.space == "joint" else unit, gain_words(gain)))
     if rows:
         heads = (

@@ -14,7 +14,7 @@ from mfc_analysis.laws.gain import Gain
 from mfc_analysis.maths.arrays import Array
 from mfc_analysis.maths.se3 import log6
 from mfc_analysis.report.document.document import Column, Section, Table, written
-from mfc_analysis.report.loops.parameters import HARDWARE, array_words
+from mfc_analysis.report.loops.parameters import HARDWARE, array_words, gain_unit
 from mfc_analysis.requirements.replay import DERIVED, replay
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 UNITS = {"duration": "s", "stiffness": "N/m", "damping": "Ns/m", "preload": "N", "angle": "rad", "frequency": "rad/s", "radius": "m"}
 MOST_NUMBERS = 60  #: of one argument that are written in a table
+SERVO = {"bandwidth": "rad/s", "damping": "(ratio)", "delay": "s"}  #: units of the arguments of a servo
 KEY = "loop"  #: of the record among the numbers of a section
 
 
@@ -41,7 +42,7 @@ def record(loop: ClosedLoop, times: ArrayLike = (0.0,), at: str = "") -> dict[st
         "robot": _robot(loop.robot),
         "controller_model": _robot(loop.equations.model),
         "law": _value(loop.law) | {"equation": loop.law.equation},
-        "gains": {name: {"value": value, "unit": _unit(loop.law.units.get(name, ""))} for name, value in _gains(loop.law).items()},
+        "gains": {name: {"value": value, "unit": _unit(gain_unit(loop.law, name, value))} for name, value in _gains(loop.law).items()},
         "reference": _value(loop.ref, whole=True) if is_dataclass(loop.ref) else {"class": type(loop.ref).__name__},
         "q_start": None if loop.q_start is None else np.asarray(loop.q_start),
         "hardware": _value(hardware),
@@ -59,7 +60,7 @@ def _gains(law: Law) -> dict[str, Any]:
 
 
 def _unit(unit: str) -> str:
-    return "" if unit == "-" else unit.replace("^2", "²").replace("^3", "³")
+    return "" if unit == "-" else unit
 
 
 def _surfaces(loop: ClosedLoop) -> list[Environment]:
@@ -201,7 +202,9 @@ def _said(data: Mapping[str, Any], units: Mapping[str, str] | None = None) -> st
         if name == "class":
             continue
         if isinstance(value, Mapping):
-            out.append(f"{name.replace('_', ' ')} {value.get('class', '')} ({_said(value)})")
+            kind = value.get("class", "")
+            word = name.replace("_", " ")
+            out.append(f"{word} ({_said(value, SERVO)})" if kind == "Servo" else f"{word} {kind} ({_said(value)})")
         elif isinstance(value, (str, bool)):
             out.append(f"{name.replace('_', ' ')} {value}")
         elif np.ndim(value) == 2 and np.shape(value) == (4, 4):

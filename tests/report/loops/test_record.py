@@ -119,3 +119,27 @@ def test_gains_and_setups_name_every_loop_and_share_rows_where_they_are_the_same
     assert gains.rows[0][1:] == ("JointPID, eq. 9.8", "kp = 25 Nm/rad; kd = 6 Nm s/rad", "as given") and gains.rows[1][2] == "none"
     assert setups.rows == (("9.8, a and b; other", "slider; model exact", "Hold: q 0.1 m; t = 0 s", "ideal", "torque"),)
     assert gains_section(()) == setups_section(()) == () and Document("t", "s", ()).front == ()
+
+
+def test_gains_of_forces_have_the_units_along_and_about_the_axes_that_they_act_on() -> None:
+    def said(law: mfc.laws.Law) -> str:
+        ((table,),) = (s.body for s in gains_section(loop_document(mfc.ClosedLoop(mfc.robots.ur5(), law, mfc.trajectories.Hold(q))).sections))
+        return str(table.rows[0][2])
+
+    q = np.array([0.3, -1.25, 1.9, -2.2, -1.57, 0.2])
+    both = said(mfc.laws.DampedForcePI((0, 0, 20.0, 0, 0, 1.0), 1.0, 5.0, kdamp=(200.0, 200.0, 200.0, 4.0, 4.0, 4.0)))
+    assert "kdamp = (200, 200, 200, 4, 4, 4) Ns/m, Nm s/rad" in both and both.endswith("F_d = (0, 0, 20, 0, 0, 1) N, Nm")
+    assert said(mfc.laws.DampedForcePI((0, 0, 20.0, 0, 0, 0), 1.0, 5.0, kdamp=60.0)).endswith(
+        "kdamp = 60 Ns/m, Nm s/rad; F_d = (0, 0, 20, 0, 0, 0) N"
+    )
+    assert said(mfc.laws.DampedForcePI((0, 0, 0, 0, 0, 1.0), 1.0, kdamp=(0, 0, 0, 0, 0, 4.0))).endswith(
+        "kdamp = (0, 0, 0, 0, 0, 4) Nm s/rad; F_d = (0, 0, 0, 0, 0, 1) Nm"
+    )
+
+
+def test_the_servo_of_a_setup_has_its_own_units() -> None:
+    law = mfc.laws.VelocityP(4.0)
+    hardware = mfc.Hardware(servo=mfc.Servo(bandwidth=50.0, damping=0.7, delay=0.016))
+    loop = mfc.ClosedLoop(mfc.robots.slider(), law, mfc.trajectories.Hold([0.1]), hardware=hardware)
+    ((table,),) = (s.body for s in setups_section(loop_document(loop).sections))
+    assert table.rows[0][3] == "servo (bandwidth 50 rad/s, damping 0.7 (ratio), delay 0.016 s)"
