@@ -110,7 +110,18 @@ def impedance_section() -> Section:
     )
     numbers = {KEY: record(impedance_loop(2 * LAG * K), at="torque"), "limit": LAG * K, **smallest_numbers(lin)}
     name = "impedance, slider"
-    return Section("Impedance behind a lag", finding, body, (), numbers, SOURCES, proofs=proofs, loop=name, key="impedance", origins=(("", "2 T K"),))
+    return Section(
+        "Impedance behind a lag",
+        finding,
+        body,
+        (),
+        numbers,
+        SOURCES,
+        proofs=proofs,
+        loop=name,
+        key="impedance",
+        origins=(("", "chosen: D = 2 T K, twice the limit of stability"),),
+    )
 
 
 # --- admittance ----------------------------------------------------------------------------------------------------------

@@ -185,7 +185,7 @@ def _scope() -> Scope:
         model=(
             "rigid arms with Pinocchio's dynamics: the joint of eq. 9.6, Siciliano's planar two-link arm with its motors, the UR5",
             f"the UR5 carries a payload of {PAYLOAD:g} kg that its controller does not model; the other controllers have an exact model",
-            f"requirements of every loop: {LIMITS}",
+            f"requirements of the loops: {LIMITS}; of 9.5 and 9.16 no delay margin is required",
         ),
         assumptions=(
             "linear results hold for small deviations from the operating points; the section on nonlinear simulation says how small",

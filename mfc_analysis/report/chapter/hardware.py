@@ -214,7 +214,7 @@ def disk_section() -> Section:
     body = (
         Table("Disk margins: independent gain and phase variations of all channels at once.", columns, rows),
         row,
-        Callout(Status.INFO, "Meaning of alpha", f"All torques: {all_.bound.value}. Torques and encoders: {both.bound.value}."),
+        Callout(Status.INFO, "Accuracy of alpha", f"All torques: {all_.bound.value}. Torques and encoders: {both.bound.value}."),
     )
     checks = as_checks(everywhere(ASKED.check(loop, [0.0], at="torque").lines, least(lin)))
     numbers = {

@@ -142,7 +142,7 @@ def coordinates_section(full: bool = True) -> Section:
     )
     panels = tuple(plots.Panel(f"{name}: Re s [1/s]", np.stack([x.error, x.state], axis=1)) for name, x in two.items())
     figure = Figure(
-        partial(plots.traces, f.t, panels, ("error coordinates", "state coordinates"), title="Rightmost frozen pole along one period"),
+        partial(plots.traces, f.t, panels, ("error coordinates", "state coordinates"), title="Rightmost frozen pole"),
         "The same loops, linearised at the same times, in two coordinate systems.",
         f"Rightmost frozen poles over one period: 9.5 {f.error.max():.3g} in error coordinates, up to {f.state.max():.3g} in state coordinates; "
         f"9.16 {two['9.16'].error.max():.3g} and up to {two['9.16'].state.max():.3g} per second.",

@@ -34,6 +34,7 @@ def test_no_text_of_a_section_leaves_its_sheet_or_lies_on_its_title(module: str,
     for figure in figures(import_module(f"mfc_analysis.report.chapter.{module}").sections()):
         drawn = figure_of(figure.draw())
         for said, box, sheet in texts(drawn, monkeypatch):
+            assert "…" not in said, (figure.alt, said)
             assert sheet.x0 - 1 <= box.x0 and box.x1 <= sheet.x1 + 1 and sheet.y0 - 1 <= box.y0 and box.y1 <= sheet.y1 + 1, (figure.alt, said)
         canvas = FigureCanvasAgg(drawn)
         for ax in drawn.axes:
