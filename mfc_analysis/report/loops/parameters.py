@@ -122,7 +122,7 @@ def parameters(view: View) -> tuple[Block, ...]:
     law, n = view.loop.law, view.loop.robot.n
     rows = []
     for name, gain in law.gains().items():
-        unit = gain_unit(law, name, gain.array)
+        unit = gain_unit(law, name, 0.0 if gain.array is None else gain.array)
         rows.append((name, unit_words(unit, view.loop.robot.joint_units) if law.space == "joint" else unit, gain_words(gain)))
     if rows:
         heads = (
