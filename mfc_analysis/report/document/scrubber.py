@@ -115,8 +115,8 @@ def _plane(poles: Complex, now: int, heading: str) -> tuple[str, Array, Array]:
             svg, "path", {"class": "pole", "d": "M-3.5-3.5 3.5 3.5M-3.5 3.5 3.5-3.5", "transform": f"translate({x:.1f} {y:.1f})"}
         )
         mark.set("style", f"fill: none; stroke: {_LINE}; stroke-width: 1.6")
-    _text(svg, left, 11, f"{heading} (symmetric log scale)", "start", bold=True)
-    _text(svg, (left + right) / 2, bottom + 27, "Re s [1/s]", "middle")
+    _text(svg, left, 11, heading, "start", bold=True)
+    _text(svg, (left + right) / 2, bottom + 27, "Re s [1/s], symmetric log scales", "middle")
     _text(svg, 10, (top + bottom) / 2, "Im s [1/s]", "middle", turned=True)
     return _said(svg), px, py
 
@@ -141,10 +141,20 @@ def _charts(times: Array, traces: list[tuple[Trace, Array]], now: int) -> tuple[
         y = ys[k, now] if np.isfinite(ys[k, now]) else -99.0
         dot = ElementTree.SubElement(svg, "circle", {"class": "dot", "r": "3", "transform": f"translate({x[now]:.1f} {y:.1f})"})
         dot.set("style", f"fill: {_DOT}")
-    for part in np.linspace(0, 1, 5):
-        _text(svg, left + part * (right - left), bottom + 12, written(float(times[0] + part * span), exact=True), "middle")
+    for tick in _ticks(float(times[0]), float(times[-1])):
+        _text(svg, left + (tick - times[0]) / span * (right - left), bottom + 12, written(float(tick), exact=True), "middle")
     _text(svg, (left + right) / 2, bottom + 27, "t [s]", "middle")
     return _said(svg), x, ys
+
+
+def _ticks(low: float, high: float) -> Array:
+    """Round numbers from low to high, three to six of them; low where both are the same."""
+    if high <= low:
+        return np.array([low])
+    each = (high - low) / 5
+    power = 10.0 ** np.floor(np.log10(each))
+    step = power * min(x for x in (1.0, 2.0, 2.5, 5.0, 10.0) if x * power >= each * (1 - 1e-9))
+    return np.asarray(np.round(step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1), 12), float)
 
 
 def _chart(svg: Element, trace: Trace, values: Array, x: Array, box: tuple[float, float, float, float]) -> Array:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from numpy.testing import assert_allclose
 
 from mfc_analysis.report.document.document import Scrubber, Trace
-from mfc_analysis.report.document.scrubber import moving
+from mfc_analysis.report.document.scrubber import _ticks, moving
 
 
 def made(m=401, worst=73, bad=()):
@@ -40,3 +42,16 @@ def test_an_unstable_time_leaves_a_gap_and_says_so():
 def test_a_larger_margin_stands_higher():
     *_, values, found = made(m=101)
     assert found.data["cy"][0][int(np.argmax(values))] < found.data["cy"][0][int(np.argmin(values))]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "wanted"),
+    [(0.0, 2.0, [0, 0.5, 1, 1.5, 2]), (0.0, np.pi, [0, 1, 2, 3]), (0.3, 0.47, [0.3, 0.35, 0.4, 0.45]), (1.0, 1.0, [1])],
+)
+def test_the_times_have_round_labels(low, high, wanted):
+    assert_allclose(_ticks(low, high), wanted)
+
+
+def test_the_heading_stands_alone_and_the_axis_names_its_scale():
+    drawn = moving(Scrubber(np.array([0.0, np.pi]), np.full((2, 1), -1.0 + 0j), (), 1, "c", "a", heading="Roots with dead time")).poles
+    assert ">Roots with dead time<" in drawn and ">Re s [1/s], symmetric log scales<" in drawn
