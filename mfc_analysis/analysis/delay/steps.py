@@ -34,6 +34,7 @@ CUBIC = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-3, -2, 3, -1], [2, 1, -2, 1]])
 
 def delayed_runner(system: OpenSystem) -> Callable[[float, int], Piece]:
     """The run (duration, samples) of unit steps of every input, for a system with one point; it ends where ``MOST_STEPS`` are used up.
+    Not finite where an unstable loop overflows.
 
     Its responses are those of output 0 to all inputs, then of output 1, ...
     """
@@ -49,8 +50,10 @@ def delayed_runner(system: OpenSystem) -> Callable[[float, int], Piece]:
         loop, wanted = (A, B[:, columns], C[rows], D[np.ix_(rows, columns)], T), max(min(duration / samples, longest), T.max() / DEEPEST)
         h = T.min() / 2 ** np.ceil(np.log2(max(T.min() / wanted * (1 - 1e-12), 1)))
         first = _Steps(*loop, h, nu)
-        t, y = _marched(first if first.whole or first.deep * FINER > DEEPEST else _Steps(*loop, h / FINER, nu), duration)
-        y[1::2] *= np.diff(t)
+        with np.errstate(over="ignore", invalid="ignore"):
+            t, y = _marched(first if first.whole or first.deep * FINER > DEEPEST else _Steps(*loop, h / FINER, nu), duration)
+        with np.errstate(over="ignore", invalid="ignore"):
+            y[1::2] *= np.diff(t)
         return Piece(t, y, CUBIC)
 
     return run

@@ -151,3 +151,15 @@ def test_a_response_below_the_error_of_the_others_does_not_keep_them_from_settli
     found, alone = lin.steps([0.0, 0.1]), lin.step(input=0, output=0)
     assert np.isfinite(found.settling).all()
     assert found[0, 0, 0].settling == pytest.approx(alone.settling, rel=1e-9)
+
+
+@pytest.mark.parametrize("hardware", [{"delay": 4e-3}, {"delay": 4e-3, "sample_time": 1e-3}])
+@pytest.mark.filterwarnings("error")
+def test_an_unstable_loop_overflows_without_a_warning_of_numpy(hardware):
+    loop = mfc.ClosedLoop(mfc.robots.slider(), mfc.laws.JointPID(1e6, kd=2000.0), mfc.trajectories.Hold([0.0]), hardware=mfc.Hardware(**hardware))
+    lin = loop.linearize()
+    assert not lin.stable[0]
+    found = lin.step(0, input="q_d_slide", output="q_slide", duration=5.0)
+    assert np.isfinite(found.y[:100]).all() and not np.isfinite(found.y[-1])
+    y = lin.steps(np.linspace(0.0, 8.0, 9)).y
+    assert np.isfinite(y[..., 0]).all() and not np.isfinite(y[0, 0, 0, -1])
