@@ -52,7 +52,6 @@ def delayed_runner(system: OpenSystem) -> Callable[[float, int], Piece]:
         first = _Steps(*loop, h, nu)
         with np.errstate(over="ignore", invalid="ignore"):
             t, y = _marched(first if first.whole or first.deep * FINER > DEEPEST else _Steps(*loop, h / FINER, nu), duration)
-        with np.errstate(over="ignore", invalid="ignore"):
             y[1::2] *= np.diff(t)
         return Piece(t, y, CUBIC)
 
