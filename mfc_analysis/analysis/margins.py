@@ -85,7 +85,7 @@ class Margins:
     phase_deg: Array  #: (m, n) smallest over all crossovers, lead or lag
     crossover: Array  #: (m, n) [rad/s] the gain crossover with the phase margin; inf where |L| is never one
     delay: Array  #: (m, n) [s] smallest over all crossovers; of a sampled loop that of the loop resampled with it
-    delay_frequency: Array  #: (m, n) [rad/s] of the roots that reach the contour with the delay margin
+    delay_frequency: Array  #: (m, n) [rad/s] of the roots that reach the contour with the delay margin; 0: a real root
     sensitivity_peak: Array  #: (m, n) supremum of |1/(1 + L)|, at least 1
     peak_frequency: Array  #: (m, n) [rad/s] of the sensitivity peak, from 1/horizon to inf
 
@@ -215,8 +215,7 @@ def _metrics(system: OpenSystem, at_point: str, ch: Channels, modes: Modes) -> M
     arc = arc_crossings(radius, theta, on_arc, at, lambda point, channel, s: found.at_place(point, channel, s)[0])
     peak, peak_at = sensitivity_peak(grid)
     metrics = assembled(gain, phase, arc, found.ch.H0, lambda w: frequency(w, dt))
-    if not dt:
-        also_late(metrics, *arc_delays(theta, on_arc, at, lambda point, channel, s: found.at_place(point, channel, s)[0], metrics["delay"]))
+    also_late(metrics, *arc_delays(radius, theta, on_arc, at, lambda point, channel, s: found.at_place(point, channel, s)[0], metrics["delay"]))
     if system.held is not None:
         known = modes[0].astype(np.complex128), modes[1].astype(np.complex128)
         metrics["delay"], metrics["delay_frequency"] = sampled_delays(system, at_point, 2 * np.arctan(w), known, found.modal)

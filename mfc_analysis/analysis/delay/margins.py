@@ -108,7 +108,7 @@ def _metrics(point: Sensitivities, H0: Array, walk: Array, radius: float) -> dic
         further = _needed(point, left, w[left], high[left], metrics["gain_increase"][left])
         left, further = left[further > high[left]], further[further > high[left]]
         low[left], high[left] = high[left], further
-    also_late(metrics, *arc_delays(theta, on_arc, at, point.one, metrics["delay"]))
+    also_late(metrics, *arc_delays(radius, theta, on_arc, at, point.one, metrics["delay"]))
     far = np.abs(1 + H0)
     better = far >= peaks[0] * (1 - 1e-12)
     peak, where = np.where(better, far, peaks[0]), np.where(better, np.inf, peaks[1])

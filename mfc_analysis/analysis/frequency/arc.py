@@ -1,8 +1,8 @@
 """The indentation of Nyquist's contour at the origin: the arc s = radius e^(j theta), 0 <= theta <= pi/2, through which slow roots leave.
 
 A root of 1 + f L on the arc at a real gain f needs L real there: Im H = 0, H = S - 1. At theta = 0 this always holds.
-A root of 1 + e^(-s tau) L on the arc needs tau = ln|L| / Re s and arg(-L) = tau Im s. At theta = 0 none can come to lie: L(radius) < -1
-there is an unstable real root already.
+A root of 1 + e^(-s tau) L on the arc needs tau = ln|L| / Re s and arg(-L) = tau Im s. At theta = 0 it needs L < -1: of a stable loop that is
+so where L has an odd number of real unstable poles, such as with a free position that one channel alone drives away and the others hold.
 """
 
 from __future__ import annotations
@@ -63,21 +63,33 @@ def arc_crossings(radius: float, theta: Array, H: Complex, at: Place, evaluate: 
     )  # fmt: skip
 
 
-def arc_delays(theta: Array, H: Complex, at: Place, evaluate: Evaluate, limit: Array) -> tuple[Crossings, Array]:
-    """Places on the arc of a continuous loop to which a dead time moves a root, and that dead time (k,) [s], as far as below ``limit`` (m, n).
+def arc_delays(radius: float, theta: Array, H: Complex, at: Place, evaluate: Evaluate, limit: Array) -> tuple[Crossings, Array]:
+    """Places on the arc to which a dead time moves a root, with w = Im s [rad/s], and that dead time (k,) [s], as far as below ``limit`` (m, n).
 
     ``H`` as above.
     """
-    place = np.broadcast_to(at(theta)[:, None], H.shape)
+
+    def rate(theta: Array) -> Complex:
+        return np.asarray(radius * np.exp(1j * theta), np.complex128)
+
+    def missed(H: Complex, theta: Array) -> Array:
+        return _missed(H, rate(theta))
+
+    place = np.broadcast_to(rate(theta)[:, None], H.shape)
     delay = _delay(H, place)
     with np.errstate(divide="ignore", over="ignore"):
         may = (delay > -BELOW / place.real) & (delay < limit[..., None])
-    point, channel, x, found = _zeros(theta, H, at, evaluate, _missed, may[..., :-1] | may[..., 1:], PARTS)
-    there, s = Crossings(point, channel, at(x).imag, found), at(x)
+    point, channel, x, found = _zeros(theta, H, at, evaluate, missed, may[..., :-1] | may[..., 1:], PARTS)
+    there, s = Crossings(point, channel, rate(x).imag, found), rate(x)
     delay = _delay(found, s)
     with np.errstate(invalid="ignore", over="ignore"):
         on = (delay > 0) & (np.abs(there.L * np.exp(-s * delay) + 1) < ON)
-    return there[on], delay[on]
+    point, channel = np.nonzero(H[..., 0].real < -1)  # L < -1
+    real = H[point, channel, 0].real
+    with np.errstate(divide="ignore", invalid="ignore"):
+        late = -np.log1p(1 / real) / radius
+    every = zip(vars(there[on]).values(), (point, channel, np.zeros(real.size), real.astype(np.complex128)), strict=True)
+    return Crossings(*(np.concatenate(both) for both in every)), np.concatenate([delay[on], late])
 
 
 def _delay(H: Complex, s: Complex) -> Array:
@@ -93,9 +105,9 @@ def _missed(H: Complex, s: Complex) -> Array:
 
 
 def _zeros(
-    theta: Array, H: Complex, at: Place, evaluate: Evaluate, function: Callable[[Complex, Complex], Array], where: Bools, parts: int = 1
+    theta: Array, H: Complex, at: Place, evaluate: Evaluate, function: Callable[[Complex, Array], Array], where: Bools, parts: int = 1
 ) -> tuple[Ints, Ints, Array, Complex]:
-    """Point, channel, angle and H of the sign changes above theta = 0 of a function of H and the place, by the Illinois rule.
+    """Point, channel, angle and H of the sign changes above theta = 0 of a function of H and the angle, by the Illinois rule.
 
     ``where``: (m, n, k - 1) the steps of ``theta`` that matter, each searched in so many ``parts``.
     """
@@ -107,7 +119,7 @@ def _zeros(
         x, inner = np.column_stack([a, x, b]), np.column_stack([at_a, inner, at_b])
         point, channel = np.repeat(point, parts), np.repeat(channel, parts)
         a, b, at_a, at_b = x[:, :-1].ravel(), x[:, 1:].ravel(), inner[:, :-1].ravel(), inner[:, 1:].ravel()
-    fa, fb = function(at_a, at(a)), function(at_b, at(b))
+    fa, fb = function(at_a, a), function(at_b, b)
     change = (fa >= 0) != (fb >= 0)
     point, channel, found = np.asarray(point[change], np.int64), np.asarray(channel[change], np.int64), at_b[change]
     a, b, fa, fb = (each[change] for each in (a, b, fa, fb))
@@ -120,7 +132,7 @@ def _zeros(
             secant = (l * fr - r * fl) / (fr - fl)
         x[todo] = try_ = np.where((secant > l) & (secant < r), secant, (l + r) / 2)
         found[todo] = h = evaluate(point[todo], channel[todo], at(try_))
-        f = function(h, at(try_))
+        f = function(h, try_)
         right = (f >= 0) == (fr >= 0)
         a[todo], fa[todo] = np.where(right, l, try_), np.where(right, fl / 2, f)
         b[todo], fb[todo] = np.where(right, try_, r), np.where(right, f, fr / 2)

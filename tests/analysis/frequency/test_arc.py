@@ -10,8 +10,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
+import mfc_analysis as mfc
 from mfc_analysis.analysis.frequency.arc import angles, arc_crossings, places
 from mfc_analysis.analysis.margins import margins
+from mfc_analysis.analysis.sampled import sampled as sampled_system
 from mfc_analysis.analysis.spectrum import rates
 from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.system import close_wires
@@ -161,3 +163,47 @@ def test_dead_time_that_drives_a_slow_pair_out_of_the_disc_ends_the_delay_margin
     for factor in (0.1, 0.5, 0.9, 0.999):
         assert judged(open_system(L, already + factor * delay))
     assert not judged(open_system(L, already + 1.001 * delay))
+
+
+@pytest.mark.parametrize("already", [0.0, 0.5])
+def test_dead_time_that_drives_a_real_slow_root_out_of_the_disc_ends_the_delay_margin(already):
+    # s^2 + 2 s - 3 + (2 s + 3) e^(-s T): a root at 0, and a second one at T = 4/3; |L| < 1 on all of the axis
+    L = (2 * s + 3) / (s**2 + 2 * s - 3)
+    found = margins(open_system(L, already), "torque")
+    delay = found.delay[0, 0]
+    assert found.stable[0]
+    assert_allclose(delay + already, np.log(-value(L, RADIUS)) / RADIUS, rtol=1e-9)
+    assert_allclose(delay + already, 4 / 3, rtol=5e-3)
+    assert found.delay_frequency[0, 0] == 0
+    assert judged(open_system(L, already + 0.999 * delay)) and not judged(open_system(L, already + 1.001 * delay))
+
+
+def test_dead_time_that_drives_a_real_slow_root_of_a_discrete_loop_out_of_the_disc_ends_the_delay_margin():
+    L = control.tf(control.c2d(control.ss((2 * s + 3) / (s**2 + 2 * s - 3)), 0.01))
+    found = margins(open_system(L), "torque")
+    assert_allclose(found.delay[0, 0], np.log(-value(L, np.array([RADIUS + 0j]))[0].real) / RADIUS, rtol=1e-8)
+
+
+def with_dead_time(lin, late):
+    """The linear loop with dead times (n,) [s] added to its joint torques."""
+    system = lin.opened.held if lin.dt else lin.opened
+    delay = np.array(system.wire_delay)
+    delay[system.wires["torque"]] += late
+    late_system = replace(system, wire_delay=delay)
+    return sampled_system(late_system, lin.dt) if lin.dt else late_system
+
+
+@pytest.mark.parametrize("hardware", [None, mfc.Hardware(torque_lag=3e-3), mfc.Hardware(delay=2e-3), mfc.Hardware(sample_time=1e-3)])
+def test_dead_time_of_one_joint_of_an_arm_with_a_free_self_motion_is_lost_where_the_self_motion_runs_away(hardware):
+    robot = mfc.robots.load("panda")
+    q = np.array([0.3, -0.6, 0.4, -1.9, 0.5, 1.7, 0.2])
+    law = mfc.laws.Impedance([400, 400, 400, 30, 30, 30], [60, 60, 60, 4, 4, 4], null_damping=2.0)
+    lin = mfc.ClosedLoop(robot, law, mfc.trajectories.ToolHold(robot.pose(q)), q_start=q, hardware=hardware).linearize()
+    found = lin.margins()
+    assert lin.slow[0] == 1 and found.stable[0] and (found.delay_frequency < 1e-9).any()
+    for k in range(7):
+        for factor, expectation in ((0.99, True), (1.01, False)):
+            late = np.zeros(7)
+            late[k] = factor * found.delay[0, k]
+            if np.isfinite(late[k]):
+                assert bool(stability(with_dead_time(lin, late)).nonzero_stable[0]) is expectation, (k, factor)
