@@ -31,6 +31,7 @@ MOST = 60_000  #: samples of one contour
 CONTRACTS = 0.8  #: loop gain below which the phase of det(I - E G) is known; nearer to one where the direct gain is larger
 FROM_POLES = 2.5  #: times 1 - that gain and the distance from the poles of G: the longest step between two samples on which it stays below one
 NARROW = 1e-10  #: relative step at which a root lies on the contour
+STILL = 1e-13  #: of the fastest place: a root below it is 0 but for rounding, and unstable
 LADDER = 12  #: first samples in a decade, where there are no others
 SPARSE = 3  #: above all poles G has no features: one of so many samples is enough to see whether the loop gain falls
 NUDGES = (1.0, 1 + 3e-4, 1 - 3e-4)  #: factors of the radius, tried in turn where a root lies on the circle
@@ -81,7 +82,8 @@ def unstable_counts(points: Stacked, radius: float, most: int = MOST) -> list[Co
     edge, inner = np.full(m, radius), np.zeros(m)
     found: list[Count | NotConverged | None] = [None] * m
     if not radius:
-        edge = 1e-9 * np.nanmin(np.abs(points.places), axis=1)
+        size = np.abs(points.places)
+        edge = np.maximum(1e-9 * np.nanmin(size, axis=1), STILL * np.nanmax(size, axis=1))
         for i, one in enumerate(disc_counts(points, edge, 0.0, most)):
             if isinstance(one, NotConverged):
                 found[i] = one

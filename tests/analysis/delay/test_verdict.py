@@ -144,3 +144,18 @@ def test_an_unstable_loop_is_unstable_also_where_its_slow_roots_cannot_be_counte
     assert not verdict(late).decays
     with pytest.raises(NotConverged, match="circle"):
         verdict(prompt)
+
+
+@pytest.mark.parametrize("late", [0.1, 0.5, 1.0])
+def test_without_a_horizon_a_root_at_zero_is_not_stable(late):
+    # s^2 + 2 s - 3 + (2 s + 3) e^(-s T) has the root 0 at any dead time; its eigenvalue is -2e-16
+    found = verdict(replace(open_system(control.tf([2, 3], [1, 2, -3]), late), horizon=np.inf))
+    assert not found.decays
+
+
+def test_without_a_horizon_a_free_self_motion_is_not_stable_with_dead_time():
+    robot, rng = mfc.robots.load("panda"), np.random.default_rng(1)
+    law = mfc.laws.Impedance([400, 400, 400, 30, 30, 30], [60, 60, 60, 4, 4, 4], null_damping=2.0)
+    for q in np.array([0.3, -0.6, 0.4, -1.9, 0.5, 1.7, 0.2]) + rng.uniform(-0.2, 0.2, (12, 7)):
+        loop = mfc.ClosedLoop(robot, law, mfc.trajectories.ToolHold(robot.pose(q)), q_start=q, hardware=mfc.Hardware(delay=1e-3))
+        assert loop.linearize().stable[0] and not loop.linearize(horizon=np.inf).stable[0]
