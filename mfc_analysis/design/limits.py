@@ -14,10 +14,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mfc_analysis.analysis.sampled import sampled as sampled_system
 from mfc_analysis.analysis.system import HORIZON
 from mfc_analysis.design.dead_time import stable_over_delay
 from mfc_analysis.design.edges import Judge, requirement_limit
 from mfc_analysis.design.searches import CLOSE, WIDEST, Limit, Outcome, first_loss, scan, shown
+from mfc_analysis.design.windows import TRANSIT, Growth, critical_delays, folding_times, growths, lost_between
 from mfc_analysis.design.worst_case import WorstCase, worst_case
 from mfc_analysis.dynamics.environment import STIFFEST, stiffened, stiffest
 from mfc_analysis.dynamics.hardware import LONGEST, MOST_SAMPLES, SHORTEST, Hardware
@@ -34,6 +36,7 @@ __all__ = ["Limit", "Outcome", "WorstCase", "max_bandwidth", "max_delay", "max_p
 
 SOFTEST = 1e-6  #: softest wall searched with requirements, as a fraction of the one given
 MOST_IN_TRANSIT = 16  #: samples of dead time of the fastest sampling searched with requirements
+FIRST = 8  #: dead times with a root on the axis beside which a search looks
 HEAVIEST = 1e9  #: [kg] largest payload searched for
 USUAL_RATE = 1e5  #: [1/s] highest sample rate searched at first
 MOVING_TIMES = 21  #: times checked along a moving reference
@@ -95,8 +98,8 @@ def max_delay(
     """Largest dead time [s] of the actuators (``Hardware.delay``, in place of the given one) with which the loop is stable.
 
     inf if stable up to ``upper`` [s], 1e-9 to 1e9; 0 if it is not stable without dead time. The search of a sampled loop ends at 2000 samples;
-    ``binds`` says where it ended. The scan looks on both sides of the smallest delay margin of the loop without dead time, which is the limit of
-    a single joint.
+    ``binds`` says where it ended. The scan looks on both sides of the first dead times that put a root on the axis (``windows.critical_delays``);
+    of a sampled loop, of the smallest delay margins without dead time.
 
     Args:
         loop: as given. upper: [s] end of the search.
@@ -118,9 +121,10 @@ def max_delay(
     t, judge = _asked(loop, times, requirements, at)
     if judge is not None:
         return requirement_limit(later, "delay", hardware.delay or 0.0, judge, upper=upper, progress=progress, n_jobs=n_jobs)
-    alone = linearize(later(0.0).equations, t, horizon=horizon).margins().delay
-    first = alone[(alone > 0) & (alone < upper)]
-    values = np.union1d(scan(1e-6 * upper, upper), first.min() * (1 + 0.4 * CLOSE * np.array([-1, 1])) if first.size else first)
+    prompt = linearize(later(0.0).equations, t, horizon=horizon)
+    first = prompt.margins().delay.ravel() if hardware.sample_time else critical_delays(prompt.opened, loop.default_at)
+    first = np.sort(first[(first > 0) & (first < upper)])[:FIRST]
+    values = np.union1d(scan(1e-6 * upper, upper), np.outer(first, 1 + 0.4 * CLOSE * np.array([-1, 1])))
     every = None if hardware.sample_time or t.size > FEW_TIMES else stable_over_delay(loop, t, horizon)
 
     def together(delays: Sequence[float]) -> list[bool] | None:
@@ -175,7 +179,8 @@ def min_sample_rate(
     """Smallest rate [1/s] of a sampled controller (``Hardware.sample_time``, zero-order hold) with which the loop is stable.
 
     The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate of the search, whose
-    ends ``binds`` gives. Rates are 1e-9 to 1e9 1/s. ``upper`` None: 1e5 1/s, and 1e9 1/s where no rate up to there is stable; with dead time at
+    ends ``binds`` gives. Between the rates of the scan it looks where a resonance of the plant folds (``windows``). Rates are 1e-9 to 1e9 1/s.
+    ``upper`` None: 1e5 1/s, and 1e9 1/s where no rate up to there is stable; with dead time at
     most the rate at which it takes 2000 samples.
 
     Other arguments as ``max_delay``. Raises BadArgument.
@@ -197,12 +202,25 @@ def min_sample_rate(
             sampled, "sample_time", hardware.sample_time or 0.0, judge, lower=fastest, upper=1 / low, progress=progress, n_jobs=n_jobs
         )
 
-    def search(low: float, high: float) -> Limit:
-        return _limit(sampled, scan(1 / high, 1 / low), t, horizon, "smallest stable sample rate", "1/s", progress, n_jobs, rate=True)
+    def search(low: float, high: float, extra: Array) -> Limit:
+        values = np.union1d(scan(1 / high, 1 / low), extra)
+        return _limit(sampled, values, t, horizon, "smallest stable sample rate", "1/s", progress, n_jobs, rate=True)
 
-    found = search(low, high)
+    found = search(low, high, np.zeros(0))
     if found.outcome is Outcome.NOWHERE and upper is None and high < most:
-        found = search(low, most)
+        high = most
+        found = search(low, high, np.zeros(0))
+    if found.outcome is not Outcome.NOWHERE:
+        last = float(found) if found.outcome is Outcome.FOUND else 1 / low
+        coded = hardware.integral_rule != "forward" or hardware.derivative_rule is not None
+        prompt = linearize(sampled(last).equations if coded else replace(loop, hardware=hardware.every(None)).equations, t, horizon=horizon).opened
+
+        def grown(h: float) -> Growth:
+            return growths(linearize(sampled(h).equations, t, horizon=horizon).opened if coded else sampled_system(prompt, h))
+
+        lost = lost_between(grown, folding_times(prompt.held or prompt, max(1 / high, late / TRANSIT), last))
+        if lost.size:
+            found = search(low, high, lost)
     value = {Outcome.FOUND: 1 / found if found else np.inf, Outcome.UNLIMITED: 0.0, Outcome.NOWHERE: np.inf}[found.outcome]
     above = f"above the upper end of the search, {high:g} 1/s: " if found.outcome is Outcome.NOWHERE and upper is not None else ""
     note = (f"sample time {float(found):.6g} s",) if found.outcome is Outcome.FOUND else ()
