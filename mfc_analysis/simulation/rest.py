@@ -16,7 +16,7 @@ from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.jacobians import closed_matrix
 from mfc_analysis.dynamics.operating_point import OperatingPoint, on_reference, rest_point
 from mfc_analysis.dynamics.start_state import start_state
-from mfc_analysis.errors import MfcError, MfcWarning, NotConverged, Unsupported
+from mfc_analysis.errors import MfcError, MfcWarning, NearPi, NearSingular, NotConverged, Unsupported
 from mfc_analysis.maths.arrays import Array
 
 NEAR = 0.25  #: [rad, m] sag up to which a rest point that Newton finds is taken without a simulation
@@ -68,8 +68,8 @@ def _newton(e: Equations, x: Array) -> tuple[Array | None, str]:
     """(1, nx) the rest point near x, or None and why."""
     try:
         return rest_point(e, OperatingPoint(np.zeros(1), x, None), lambda x: closed_matrix(e, np.zeros(1), x)).x, ""
-    except NotConverged as why:
-        return None, str(why)
+    except (NearPi, NearSingular, NotConverged) as why:  # near none, or the search leaves for where the law cannot be evaluated
+        return None, f"equilibrium: not found near the reference: {why}" if not isinstance(why, NotConverged) else str(why)
 
 
 def _holds(e: Equations, x: Array) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,9 +11,12 @@ from scipy.optimize import brentq
 
 from mfc_analysis import laws as L, robots
 from mfc_analysis.dynamics.environment import Environment
+from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.hardware import Hardware
-from mfc_analysis.errors import BadArgument, NotConverged
+from mfc_analysis.dynamics.operating_point import OperatingPoint
+from mfc_analysis.errors import BadArgument, NearPi, NearSingular, NotConverged
 from mfc_analysis.loop import ClosedLoop, Equilibrium
+from mfc_analysis.maths.arrays import Array
 from mfc_analysis.simulation import rest
 from mfc_analysis.simulation.rest import LONGEST, at_rest
 from mfc_analysis.trajectories import Hold
@@ -132,3 +137,21 @@ def test_a_law_that_cannot_be_simulated_leaves_newtons_point(monkeypatch: pytest
     monkeypatch.setattr("mfc_analysis.simulation.simulation.simulate", refused)
     found = ClosedLoop(JOINT, L.JointPID(2.0, kd=1.0), Hold([0.0])).equilibrium()
     assert found.stable and "cannot be simulated" in found.notes[0]
+
+
+@pytest.mark.parametrize("why", [NearPi(3.1415), NearSingular("tool0", 1e-7, 1e7)], ids=lambda why: type(why).__name__)
+def test_newton_may_leave_for_where_the_law_cannot_be_evaluated(why: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Upright the joint rests on its reference, and 50 ms of lag drive it away: the search from the end of that run must not hide the point."""
+    newton = rest.rest_point
+
+    def lost(e: Equations, start: OperatingPoint, closed: Callable[[Array], Array]) -> OperatingPoint:
+        if abs(start.x[0, 0] - np.pi / 2) > 1e-6:
+            raise why
+        return newton(e, start, closed)
+
+    monkeypatch.setattr(rest, "rest_point", lost)
+    found = ClosedLoop(JOINT, L.JointPID(50.0), Hold([np.pi / 2]), hardware=Hardware(torque_lag=0.05)).equilibrium()
+    assert_allclose(found.q, np.pi / 2, atol=1e-9)
+    assert not found.stable and found.notes[0].startswith("unstable")
+    with pytest.raises(NotConverged, match=f"not found near the reference: {str(why)[:20]}.*has not come to rest"):
+        ClosedLoop(JOINT, L.JointPID(50.0), Hold([0.5]), hardware=Hardware(torque_lag=0.05)).equilibrium()
