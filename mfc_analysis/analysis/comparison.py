@@ -219,7 +219,7 @@ class Comparison:
         """
         from mfc_analysis import plots
 
-        return plots.comparison(self, axes=ax or plots.shown("three histories"))[0]
+        return plots.comparison(self, axes=plots.shown("three histories", ax))[0]
 
 
 MARGINS = (

@@ -75,7 +75,7 @@ class FrequencyResponse:
         """
         from mfc_analysis import plots
 
-        return plots.response(self, axes=ax or plots.shown("three histories"))[0]
+        return plots.response(self, axes=plots.shown("three histories", ax))[0]
 
     def _bands(self) -> str:
         """The bands in which the response is coherent."""

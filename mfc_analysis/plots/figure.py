@@ -14,7 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mfc_analysis.errors import UnknownName
+import numpy as np
+
+from mfc_analysis.errors import BadArgument, UnknownName
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -88,10 +90,24 @@ def panels_for(kind: str) -> tuple[Axes, ...]:
     return _laid_out(Figure(figsize=SHEETS[kind].size, facecolor="none"), kind)
 
 
-def shown(kind: str, ax: Axes | None = None) -> tuple[Axes, ...]:
-    """The given axes ``ax`` alone, or those of a new sheet of this kind that is registered with pyplot, top first."""
+def given(ax: object, count: int = 1) -> tuple[Axes, ...]:
+    """The axes that a caller draws in: one, or a tuple, list or array of ``count``. Raises BadArgument for anything else."""
+    from matplotlib.axes import Axes
+
+    found = tuple(ax) if isinstance(ax, (tuple, list)) else tuple(np.ravel(np.asarray(ax, object)))
+    if len(found) != count or not all(isinstance(one, Axes) for one in found):
+        got = f"shape ({len(found)},)" if found and all(isinstance(one, Axes) for one in found) else ax
+        raise BadArgument("ax", got, "axes of matplotlib, as those of plt.subplots()" if count == 1 else f"a sequence of {count} axes of matplotlib")
+    return found
+
+
+def shown(kind: str, ax: object = None) -> tuple[Axes, ...]:
+    """The given axes ``ax``, as many as a sheet of this kind has, or those of a new sheet that is registered with pyplot; top first.
+
+    Raises BadArgument for other axes.
+    """
     if ax is not None:
-        return (ax,)
+        return given(ax, len(SHEETS[kind].panels))
     from matplotlib import pyplot
 
     return _laid_out(pyplot.figure(figsize=SHEETS[kind].size, dpi=_DOTS), kind)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,13 +77,12 @@ def bode(
     return upper, lower
 
 
-def two_axes(ax: Axes | tuple[Axes, Axes] | None) -> tuple[Axes, Axes]:
+def two_axes(ax: Axes | Sequence[Axes] | None) -> tuple[Axes, Axes]:
     """Axes for ``bode``: those given (``ax``), the upper and lower half of one, or with None those of a new sheet registered with pyplot."""
-    if isinstance(ax, tuple):
-        return ax
-    if ax is None:
-        upper, lower = sheet.shown("bode")
+    if ax is None or np.size(np.asarray(ax, object)) == 2:
+        upper, lower = sheet.shown("bode", ax)
         return upper, lower
+    (ax,) = sheet.given(ax)
     figure, spec = ax.get_figure(root=False), ax.get_subplotspec()
     assert figure is not None
     if spec is not None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import matplotlib
+import matplotlib.figure
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from mfc_analysis import plots
-from mfc_analysis.errors import UnknownName
+from mfc_analysis.errors import BadArgument, UnknownName
 from mfc_analysis.plots import figure as sheet
 from tests.plots import kinds
 from tests.plots.overlaps import texts_on_curves, texts_on_texts
@@ -206,3 +206,25 @@ def test_a_logarithmic_axis_with_one_decade_has_labels_between_the_decades(low, 
     ax.figure.canvas.draw()
     found = [text.get_text() for tick, text in zip(ax.get_xticks(), ax.get_xticklabels(), strict=True) if low <= tick <= high]
     assert set(said) <= set(found) and len(found) >= 2
+
+
+@pytest.mark.parametrize("ax", [3, "ax", plots, [], np.empty(1, object)], ids=["number", "string", "module", "empty", "nothing"])
+@pytest.mark.parametrize("kind", ["map", "three histories"])
+def test_what_is_not_axes_is_refused_by_name(kind, ax):
+    with pytest.raises(BadArgument, match=r"^ax: got .*axes of matplotlib"):
+        sheet.shown(kind, ax)
+    with pytest.raises(BadArgument, match=r"^ax: got .*axes of matplotlib"):
+        plots.two_axes(ax)
+
+
+def test_axes_come_in_any_sequence_and_in_the_right_number():
+    """As ``plt.subplots`` gives them: an array, whose truth value is not defined."""
+    three = matplotlib.figure.Figure().subplots(3, 1)
+    assert sheet.shown("three histories", three) == tuple(three) == sheet.shown("three histories", list(three))
+    assert plots.two_axes(three[:2]) == tuple(three[:2])
+    assert sheet.shown("map", three[:1]) == (three[0],)
+    for few in (three[0], three[:2]):
+        with pytest.raises(BadArgument, match=r"^ax: got .*; takes a sequence of 3 axes of matplotlib"):
+            sheet.shown("three histories", few)
+    with pytest.raises(BadArgument, match=r"^ax: got shape \(3,\); takes axes of matplotlib"):
+        sheet.shown("map", three)
