@@ -16,10 +16,11 @@ from mfc_analysis.analysis.margins import Margins, margins as margins_of
 from mfc_analysis.analysis.measured import measured_margins
 from mfc_analysis.analysis.spectrum import poles
 from mfc_analysis.analysis.system import OpenSystem, checked_horizon
-from mfc_analysis.errors import BadArgument
+from mfc_analysis.errors import BadArgument, Unsupported
 from mfc_analysis.maths import checks
 from mfc_analysis.maths.arrays import Array, Complex
 
+STATIC = ("none",)  #: names of the states of a gain
 AT = "loop"  #: the only analysis point
 TAKES = "a proper python-control LTI system with as many outputs as inputs: StateSpace, TransferFunction or FrequencyResponseData"
 MOST_SAMPLES = 200  #: samples of dead time in one channel of a discrete loop
@@ -42,8 +43,11 @@ def margins(L: Any, delay: ArrayLike = 0.0, *, horizon: float = np.inf, open_loo
     """
     import control
 
+    unstable = checks.whole("open_loop_unstable", open_loop_unstable, 0, 100)
     if isinstance(L, control.FrequencyResponseData):
-        return measured_margins(L, checks.number("delay", delay, low=0.0), checks.whole("open_loop_unstable", open_loop_unstable, 0, 100))
+        return measured_margins(L, checks.number("delay", delay, low=0.0), unstable)
+    if unstable:
+        raise Unsupported("open_loop_unstable", unstable, "FrequencyResponseData with it: the poles of any other L are known")
     return margins_of(in_feedback(L, delay, horizon), AT)
 
 
@@ -59,8 +63,12 @@ def delay_roots(L: Any, delay: ArrayLike = 0.0, count: int = 6) -> Complex:
     Other arguments as ``margins``, whose errors it raises.
     """
     system = in_feedback(L, delay, np.inf)
-    found = poles(system) if system.dt else roots_of(system, checks.whole("count", count, 1, 1000))
-    return np.asarray(found[0], np.complex128)
+    count = checks.whole("count", count, 1, 1000)
+    static, alone = system.state_names[:1] == STATIC, system.A[0, :1, 0]
+    found = (poles(system) if system.dt else roots_of(system, count + static))[0]
+    if static:
+        found = np.delete(found, np.flatnonzero(np.abs(found - alone) <= 1e-9 * np.abs(alone))[:1])
+    return np.asarray(found if system.dt else found[:count], np.complex128)
 
 
 def in_feedback(L: Any, delay: ArrayLike = 0.0, horizon: float = np.inf) -> OpenSystem:
@@ -68,11 +76,16 @@ def in_feedback(L: Any, delay: ArrayLike = 0.0, horizon: float = np.inf) -> Open
     A, B, C, D, dt, names = _matrices(L)
     n = len(D)
     late = checks.per_joint("delay", delay, n, low=0.0)
+    names_of_states = tuple(f"x{i}" for i in range(len(A)))
+    if not names_of_states:  # a gain: the methods work on states, so it gets one that decays and acts on nothing
+        A, B, C, names_of_states = np.full((1, 1), 0.0 if dt else -np.pi / (late.max() or 1.0)), np.zeros((1, n)), np.zeros((n, 1)), STATIC
     if dt and late.any():
         A, B, C, D = _with_samples(A, B, C, D, late / dt)
         late = np.zeros(n)
+    if np.linalg.cond(np.eye(n) + D) > 1 / np.finfo(float).eps:
+        raise BadArgument("L", "I + D singular, D the gain of L at infinite frequency", "a loop that can be closed: this one has no solution")
     return OpenSystem(
-        times=np.zeros(1), A=A[None], B=-B[None], C=C[None], D=-D[None], state_names=tuple(f"x{i}" for i in range(len(A))), input_names=(),
+        times=np.zeros(1), A=A[None], B=-B[None], C=C[None], D=-D[None], state_names=names_of_states, input_names=(),
         output_names=(), wires={AT: slice(0, n)}, wire_names=names, wire_delay=late, points=(AT,), dt=dt,
         horizon=checked_horizon(horizon, dt),
     )  # fmt: skip

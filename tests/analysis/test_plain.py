@@ -123,3 +123,50 @@ def test_the_opened_system_has_one_point_and_the_horizon_asked_for() -> None:
     assert system.points == ("loop",) and system.radius == 0.1 and not system.nu
     slow = mfc.margins(1e-4 / (s * (s + 2)), horizon=100.0)
     assert slow.stable[0] and mfc.margins(1e-4 / (s * (s + 2))).stable[0]
+
+
+@pytest.mark.parametrize("gain", [0.5, -0.5, 0.9, -0.9])
+@pytest.mark.parametrize("dt", [0, 0.1], ids=["continuous", "discrete"])
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+def test_a_gain_is_a_loop_too(gain: float, dt: float, delay: float, capfd: pytest.CaptureFixture[str]) -> None:
+    """Its sensitivity is 1/(1 + gain), later at any phase; dead time T makes of it exp(s T) = -gain."""
+    L = control.ss([], [], [], [[gain]], dt)
+    found = mfc.margins(L, delay=delay)
+    lost = 1 / abs(gain) if delay or gain < 0 else np.inf
+    peak = max(1.0, 1 / (1 - abs(gain) if delay else 1 + gain))
+    assert found.stable.all() and found.gain_reduction[0, 0] == 0
+    assert_allclose([found.gain_increase[0, 0], found.sensitivity_peak[0, 0]], [lost, peak], rtol=1e-6)
+    assert np.isinf(found.phase_deg).all() and np.isinf(found.delay).all()
+    assert_allclose(mfc.disk_margin(L, delay=delay).gain_increase[0] if delay else lost, lost, rtol=1e-6)
+    roots = mfc.delay_roots(L, delay=delay, count=5)
+    if not delay:
+        assert not roots[np.isfinite(roots)].size
+    else:
+        assert_allclose(roots if dt else np.exp(roots * delay), -gain, rtol=1e-8)
+        assert roots.size == (1 if dt else 5)
+    assert not capfd.readouterr().err  # LAPACK complains there about matrices without rows
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+def test_a_gain_above_one_tolerates_no_dead_time(delay: float) -> None:
+    found = mfc.margins(control.ss([], [], [], [[2.0]]), delay=delay)
+    assert found.stable[0] == (not delay)
+    if not delay:
+        assert found.delay[0, 0] == 0
+
+
+@pytest.mark.parametrize("D", [[[-1.0]], [[0.0, 1.0], [1.0, 0.0]]], ids=["one", "two"])
+@pytest.mark.parametrize("dt", [0, 0.1], ids=["continuous", "discrete"])
+def test_a_loop_without_a_solution_is_refused(D: list[list[float]], dt: float) -> None:
+    n = len(D)
+    L = control.ss(0.5 * np.eye(n) - np.eye(n) * (not dt), np.eye(n), np.eye(n), D, dt)
+    for function in (mfc.margins, mfc.disk_margin, mfc.delay_roots):
+        with pytest.raises(BadArgument, match=r"^L: got 'I \+ D singular"):
+            function(L)
+
+
+def test_poles_of_measured_data_are_told_of_nothing_else() -> None:
+    with pytest.raises(BadArgument, match="open_loop_unstable: got 1; takes FrequencyResponseData"):
+        mfc.margins(3 / (s - 1), open_loop_unstable=1)
+    with pytest.raises(BadArgument, match="open_loop_unstable: got -1"):
+        mfc.margins(3 / (s - 1), open_loop_unstable=-1)
