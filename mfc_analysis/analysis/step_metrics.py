@@ -64,6 +64,14 @@ class Point:
         A, dt = self.closed[0], self.system.dt
         return modes((A - np.eye(len(A))) / dt if dt else A, self.system.radius)
 
+    @cached_property
+    def _still(self) -> Array:
+        """(nx, nu) M^-1 B, M and B those of the rates: minus the final state under a unit step of each input, where every mode decays."""
+        A, B, dt = *self.closed[:2], self.system.dt
+        M, B = ((A - np.eye(len(A))) / dt, B / dt) if dt else (A, B)
+        X = np.linalg.solve(M, B)
+        return np.asarray(X + np.linalg.solve(M, B - M @ X))
+
     def metrics(self, into: Ints, out: Ints) -> dict[str, Array]:
         """(P,) of each response: the outcome, the final value, the metrics, and "longest": a time [s] at which everything has died away.
 
@@ -80,7 +88,8 @@ class Point:
         loose = [mode for mode in slow if not mode.decays(dt)]
         found_terms = terms([mode for mode in self.modes if mode not in loose], b, c, dt)
         starts = found_terms.a[found_terms.starts].real
-        steady = d - starts.sum(axis=0)
+        # the sum over the modes has their rounding: it hides a final value that an integral makes 0
+        steady = d - (starts.sum(axis=0) if loose else (c * self._still[:, into].T).sum(axis=1))
         steady[np.abs(steady) < 1e-13 * (np.abs(starts).sum(axis=0) + np.abs(d))] = 0.0
         horizon = system.horizon if np.isfinite(system.horizon) else 1.0
         moved = np.zeros((2, P))
