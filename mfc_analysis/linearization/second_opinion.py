@@ -31,7 +31,7 @@ from mfc_analysis.analysis.stability import stability
 from mfc_analysis.analysis.step_metrics import Outcome
 from mfc_analysis.analysis.steps import step
 from mfc_analysis.analysis.system import OpenSystem
-from mfc_analysis.errors import BadArgument, Unsupported
+from mfc_analysis.errors import BadArgument, NotConverged, Unsupported
 from mfc_analysis.linearization.exported import closed_model, loop_model, measured_model
 from mfc_analysis.maths.arrays import Complex
 
@@ -359,7 +359,7 @@ def _steps(case: _Case) -> list[Comparison]:
         return []
     try:
         ours = step(system, 0, name, name)
-    except BadArgument:  # more steps than a loop with dead time affords
+    except (BadArgument, NotConverged):  # more steps than a loop with dead time affords
         return []
     wait = float(delays[system.output_names.index(name)])
     end = ours.settling + wait if np.isfinite(ours.settling) and ours.settling > 0 else float(ours.t[-1])

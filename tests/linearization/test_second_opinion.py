@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mfc_analysis as mfc
-from mfc_analysis.errors import UnknownName, UnknownPoint
+from mfc_analysis.errors import NotConverged, UnknownName, UnknownPoint
 from mfc_analysis.linearization import second_opinion as module
 from mfc_analysis.linearization.linearization import Linearization
 from mfc_analysis.linearization.second_opinion import Judgement
@@ -126,3 +126,13 @@ def test_what_is_not_there_is_refused() -> None:
         lin.second_opinion(0, channel="elbow")
     with pytest.raises(KeyError):
         _ = lin.second_opinion()["torque"]
+
+
+def test_a_step_that_takes_too_long_to_settle_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object) -> None:
+        raise NotConverged("step", "not settled")
+
+    monkeypatch.setattr(module, "step", never)
+    found = slider(30.0, 20.0, 9.0, delay=1e-3).second_opinion(0)
+    assert found["phase margin"].judgement is not Judgement.WATCH
+    assert not any("of T" in one.name and "time" in one.name for one in found.comparisons)
