@@ -348,7 +348,9 @@ class Linearization:
     def passivity(self, at: str = "tool") -> Passivity:
         """Whether the port is passive at each of the m times: no passive environment then makes the loop unstable. ``at`` as ``port``.
 
-        Where it is not: over which frequencies, in which direction, and how much damping at the port makes it so. Raises BadArgument.
+        Where it is not: over which frequencies, in which direction, and how much damping at the port makes it so. One-sided surfaces of the loop
+        count as touched. Where the tool may leave them the arm must be passive without them too, which is asked of the loop without surfaces.
+        Raises BadArgument.
         """
         from mfc_analysis.analysis.passivity import passivity
 
