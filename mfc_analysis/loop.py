@@ -16,6 +16,7 @@ from mfc_analysis.dynamics.equations import Equations
 from mfc_analysis.dynamics.hardware import Hardware
 from mfc_analysis.dynamics.jacobians import Coordinates
 from mfc_analysis.dynamics.operating_point import Nominal, nominal
+from mfc_analysis.dynamics.own_law import check_action, check_attributes, is_own
 from mfc_analysis.errors import BadArgument
 from mfc_analysis.laws.law import Law
 from mfc_analysis.linearization.linearization import Linearization, linearize
@@ -91,6 +92,8 @@ class ClosedLoop:
         if not isinstance(self.law, Law):
             raise BadArgument("law", self.law, "one of mfc.laws, such as mfc.laws.ComputedTorque(kp=100, kd=20)")
         self.law.check(self.robot.n)
+        if is_own(self.law):
+            check_attributes(self.law, self.robot.joint_names)
         space = getattr(self.ref, "space", None)
         if space not in ("joint", "tool"):
             raise BadArgument("ref", self.ref, "a reference of mfc.trajectories")
@@ -105,6 +108,8 @@ class ClosedLoop:
         surfaces = self._surfaces()
         set_(self, "equations", Equations(self.robot, model, self.law, self.ref, surfaces, self.hardware or Hardware(), q_start))
         refuse_what_does_not_apply(self.equations)
+        if is_own(self.law):
+            check_action(self.equations)
 
     def _check_reference(self, space: str) -> None:
         law, name = self.law, type(self.law).__name__

@@ -29,6 +29,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -179,12 +180,41 @@ class Equations:
         """Indices of the states of sampled code: x + T x' at the next sample."""
         return tuple(i for where, slot in self.parts.values() if slot.stepped for i in range(where.start, where.stop))
 
+    @cached_property
+    def start(self) -> Array:
+        """(nx,) the joints at the start of the reference, every other state 0."""
+        x = np.zeros(self.nx)
+        q = self.q_start if self.reference_source.space == "tool" else self.reference_source(0.0).q
+        for name in ("q", "theta"):
+            if name in self.parts:
+                x[self.parts[name].where] = q
+        return x
+
+    @cached_property
+    def _own_wires(self) -> dict[str, int]:
+        """Analysis points of a user's law that no other law has, and their numbers of channels."""
+        names = [point for point in self.law.opens_at if point not in (self.actuator, "command", "position", "force")]
+        if not names:
+            return {}
+        wires = Wires()
+        self.flow(0.0, self.start, wires)
+        return {name: value(wires.recorded[name]).shape[-1] for name in names}
+
+    def wire_channels(self, name: str) -> tuple[str, ...]:
+        """Names of the channels of a wire."""
+        joints = self.robot.joint_names
+        if name in self._own_wires:
+            size = self._own_wires[name]
+            return joints if size == self.n else tuple(f"{name}_{i + 1}" for i in range(size))
+        return {"command": self.law.command_channels(joints), "force": WRENCH}.get(name, joints)
+
     def wire_sizes(self) -> dict[str, int]:
         """The wires of this loop and their numbers of channels."""
         law, n = self.law, self.n
         sizes = {self.actuator: n}
         if "command" in law.opens_at:
             sizes["command"] = len(law.command_channels(self.robot.joint_names))
+        sizes |= self._own_wires
         sizes["position"] = n
         if self.actuator == "torque" and self.hardware.derivative_rule is None:
             sizes["rate"] = n

@@ -184,8 +184,6 @@ def open_system(
     delay = np.zeros(nw)
     for name, late in equations.delays.items():
         delay[wires_at[name]] = late
-    joints = equations.robot.joint_names
-    channels = {"command": equations.law.command_channels(joints), "force": WRENCH}
     return OpenSystem(
         times=times,
         A=T[:, :, :nx],
@@ -196,7 +194,7 @@ def open_system(
         input_names=names.inputs,
         output_names=names.outputs,
         wires=wires_at,
-        wire_names=tuple(c for name in sizes for c in channels.get(name, joints)),
+        wire_names=tuple(c for name in sizes for c in equations.wire_channels(name)),
         wire_delay=delay,
         points=equations.law.opens_at,
         integrals=equations.integrals,

@@ -7,6 +7,7 @@ point for dual arrays. The tangent axis is last, so a chain rule is one batched 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import EllipsisType
 from typing import TypeAlias
 
 import numpy as np
@@ -50,8 +51,9 @@ class Dual:
 
     __rmul__ = __mul__
 
-    def __getitem__(self, part: slice) -> Dual:
-        """A slice of the last (component) axis."""
+    def __getitem__(self, part: slice | tuple[EllipsisType, slice]) -> Dual:
+        """A slice of the last (component) axis: [a:b], or [..., a:b], which plain arrays take as well."""
+        part = part[1] if isinstance(part, tuple) else part
         return Dual(self.value[..., part], self.tangent[..., part, :])
 
 
@@ -67,8 +69,9 @@ class Seed(Dual):
             tangent[..., k, start + k] = 1.0
         self.value, self.tangent, self.start = value, tangent, start
 
-    def __getitem__(self, part: slice) -> Dual:
+    def __getitem__(self, part: slice | tuple[EllipsisType, slice]) -> Dual:
         """Contiguous components are independent variables too."""
+        part = part[1] if isinstance(part, tuple) else part
         first, _, stride = part.indices(self.value.shape[-1])
         if stride != 1:
             return super().__getitem__(part)
