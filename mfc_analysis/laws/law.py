@@ -38,7 +38,12 @@ AnyLaw = TypeVar("AnyLaw", bound="Law")
 
 @dataclass_transform(eq_default=False, field_specifiers=(field,))
 def define(cls: type[AnyLaw]) -> type[AnyLaw]:
-    """Decorator of a law class: a frozen dataclass, compared by identity, whose ``Gain`` fields take any value that ``Gain`` accepts."""
+    """Decorator of a law class: a frozen dataclass, compared by identity, whose ``Gain`` fields take any value that ``Gain`` accepts.
+
+    Raises BadArgument for what is not a class of laws.
+    """
+    if not isinstance(cls, type) or not issubclass(cls, Law):
+        raise BadArgument("cls", cls, "a class derived from mfc.laws.JointLaw or mfc.laws.ToolLaw")
     return dataclass(frozen=True, eq=False)(cls)
 
 

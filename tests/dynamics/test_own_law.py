@@ -134,3 +134,9 @@ def test_a_point_may_have_fewer_channels_than_joints() -> None:
     states = 1j * w[:, None, None] * np.eye(rest.A.shape[1]) - rest.A
     known = 100.0 * (rest.C[0, out] @ np.linalg.solve(states, rest.B[:, :, into, None]))[:, 0]
     assert_allclose(lin.frequency_response(w, at="two")[0, 0], known, rtol=1e-8)
+
+
+@pytest.mark.parametrize("what", [3, Through, Through(2)], ids=["number", "class", "object"])
+def test_only_a_class_of_laws_is_defined(what: Any) -> None:
+    with pytest.raises(BadArgument, match=r"^cls: got .*; takes a class derived from mfc\.laws\.JointLaw"):
+        define(what)
