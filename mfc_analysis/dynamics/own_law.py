@@ -26,9 +26,8 @@ def check_attributes(law: Law, joints: tuple[str, ...]) -> None:
     """Raises BadArgument where an attribute or the slots of a user's law are not what the loop takes."""
     checks.choice("law.plant", law.plant, ("torque", "velocity"))
     checks.choice("law.space", law.space, ("joint", "tool"))
-    equation = getattr(law, "equation", None)
-    if not isinstance(equation, str):
-        raise BadArgument("law.equation", equation, 'a few words, such as equation = "own: PD with gravity compensation"')
+    if not isinstance(law.equation, str):
+        raise BadArgument("law.equation", law.equation, 'a few words, such as equation = "own: PD with gravity compensation"')
     if not isinstance(law.opens_at, tuple) or not all(isinstance(point, str) for point in law.opens_at):
         raise BadArgument("law.opens_at", law.opens_at, 'a tuple of names, such as ("torque", "position")')
     if law.sample_time is not None:

@@ -112,7 +112,7 @@ class Law(ABC):
     names a signal at which the loop can be opened; ``joints`` are the names of the joints.
     """
 
-    equation: ClassVar[str]  #: number in the chapter, or a few words for a law that is not in it
+    equation: ClassVar[str] = ""  #: number in the chapter, or a few words for a law that is not in it; "": the name of its class
     plant: ClassVar[Literal["velocity", "torque"]] = "torque"
     space: ClassVar[Literal["joint", "tool"]] = "joint"
     opens_at: ClassVar[tuple[str, ...]] = ("torque", "position")  #: analysis points of the class; a law without force feedback has no "force"
@@ -201,7 +201,7 @@ class Law(ABC):
     @classmethod
     def numbered(cls) -> str:
         """The equation in words: "eq. 9.16", or the name of a law that the chapter does not have."""
-        return f"eq. {cls.equation}" if cls.in_chapter() else cls.equation
+        return f"eq. {cls.equation}" if cls.in_chapter() else cls.equation or cls.__name__
 
     @classmethod
     def in_chapter(cls) -> bool:

@@ -140,3 +140,12 @@ def test_a_point_may_have_fewer_channels_than_joints() -> None:
 def test_only_a_class_of_laws_is_defined(what: Any) -> None:
     with pytest.raises(BadArgument, match=r"^cls: got .*; takes a class derived from mfc\.laws\.JointLaw"):
         define(what)
+
+
+def test_a_law_without_words_for_its_equation_is_called_by_its_class():
+    def act(self, model, now, ref, tap):
+        return Action(8.0 * (ref.q - now.q) - 2.0 * now.v, {}, ref.q - now.q)
+
+    law = define(type("Spring", (JointLaw,), {"act": act}))()
+    loop = mfc.ClosedLoop(mfc.robots.single_joint(), law, mfc.trajectories.Hold([0.3]))
+    assert law.numbered() == "Spring" and "Spring" in str(loop.linearize())
