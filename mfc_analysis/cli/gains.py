@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 KINDS = ("p", "pi", "pd", "pid", "joint-pid", "force-pi", "cartesian-damping", "impedance", "admittance")
 
+ASKED = ("bandwidth", "natural_frequency", "crossover", "settling_time")  #: what gains are computed from: one of them
+SPEEDS = "--bandwidth-hz, --natural-frequency-hz, --crossover-hz (or without -hz, in rad/s) or --settling-time"
+
 
 def designed(kind: str, given: Mapping[str, Any]) -> Gains:
     """The gains of a helper from the options given, by their names with underscores.
@@ -38,12 +41,18 @@ def designed(kind: str, given: Mapping[str, Any]) -> Gains:
             )
         if key in asked:
             raise BadArgument(f"--{name.replace('_', '-')}", value, f"either --{key.replace('_', '-')}-hz or --{key.replace('_', '-')}")
+        if factor != 1.0 and isinstance(value, (int, float)) and not value > 0:
+            raise BadArgument(f"--{name.replace('_', '-')}", value, "a number above 0, in Hz")
         if isinstance(value, str) and key not in ("robot", "tool", "step"):
             value = numbers(name, value)
         asked[key] = value if factor == 1.0 or not isinstance(value, (int, float)) else factor * value
     for name in ("stiffness", "mass"):
         if name in takes and name not in asked:
             raise BadArgument(f"--{name}", None, f"a number, required by {kind}")
+    if set(ASKED) <= set(takes) and len(named := [f"--{x.replace('_', '-')}" for x in ASKED if x in asked]) != 1:
+        raise BadArgument(
+            SPEEDS, " and ".join(named) or "none of them", f"exactly one of the four, for example: mfc-analysis gains {kind} --bandwidth-hz 4"
+        )
     tool = asked.pop("tool", None)
     if "robot" not in takes:
         return helper(**asked)

@@ -117,3 +117,11 @@ def test_numbers_are_one_or_several_and_nothing_else():
         with pytest.raises(BadArgument) as why:
             numbers("motor_inertia", text)
         assert why.value.argument == "--motor-inertia" and why.value.got == text
+
+
+def test_a_missing_or_negative_bandwidth_is_named_by_its_option():
+    none, two, negative = (run("gains", "pid", *x) for x in ((), ("--bandwidth-hz", 4, "--crossover", 3), ("--bandwidth-hz", -4)))
+    assert none.exit_code == two.exit_code == negative.exit_code == 2
+    assert "none of them" in none.stderr and "mfc-analysis gains pid --bandwidth-hz 4" in none.stderr
+    assert "--bandwidth and --crossover" in two.stderr
+    assert negative.stderr == "error: --bandwidth-hz: got -4.0; takes a number above 0, in Hz\n"
