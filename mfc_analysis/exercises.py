@@ -308,7 +308,7 @@ class ForceAnswer:
 
     def rows(self) -> tuple[tuple[str, str], ...]:
         """The answer in words and numbers with units."""
-        J, tau = self.jacobian, self.torques
+        J, tau = (np.round(x, 12) + 0.0 for x in (self.jacobian, self.torques))  # no -0, and no rounding of a right angle
         return (
             ("geometry", "revolute theta, then prismatic d along the arm; tool at d (cos theta, sin theta, 0); F in base axes (x, y)"),
             ("configuration", f"theta = {math.degrees(self.theta):.6g} deg, d = {self.d:.6g} m"),

@@ -67,3 +67,8 @@ def test_an_exercise_with_a_motion_writes_its_graph_and_one_without_nothing(tmp_
     files = [path.name for path in tmp_path.rglob("*.svg")]
     assert files == ([f"exercise-{number.replace('.', '-')}.svg"] if graph else [])
     assert all(name in done.stdout for name in files)
+
+
+def test_zeros_of_an_answer_are_zeros():
+    said = run("exercise", "9.4", "--theta-deg", 90, "--d", 0, "--fx", 3, "--fy", 4).stdout
+    assert "J = [[0, 0], [0, 1]]" in said and "tau = J^T F = [0 N m, 4 N]" in said
