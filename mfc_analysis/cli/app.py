@@ -5,6 +5,7 @@ Exit codes: 0 success or requirements met, 1 a requirement is not met, 2 anythin
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -177,7 +178,9 @@ def init(
     from mfc_analysis.study import init as study_init
 
     written = study_init.write(robot, out, tool, overwrite=force)
-    terminal.say(f"{written}", f"next: mfc-analysis check {written}")
+    locked = tomllib.loads(written.read_text(encoding="utf-8"))["robot"].get("locked", ())
+    said = (f"locked at 0: {', '.join(locked)}",) if locked else ()
+    terminal.say(f"{written}", *said, f"next: mfc-analysis check {written}")
 
 
 @app.command()

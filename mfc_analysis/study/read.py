@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 
 LARGEST = 4_000_000  #: bytes of a study file
+ROBOTS = (".urdf", ".xml", ".mjcf", ".xacro")  #: endings of files that hold a robot
 DEEPEST = 20  #: tables and lists within one another
 MOST_CASES = 1000  #: most combinations of ranges in a study
 
@@ -116,7 +117,8 @@ def read(path: str | os.PathLike[str]) -> Study:
     except RecursionError as why:
         raise StudyError(str(path), "", "has lists or tables nested too deeply") from why
     except ValueError as why:  # also a whole number of thousands of digits
-        raise StudyError(str(path), "", f"is not TOML: {why}") from why
+        robot = f"; a study of this robot is written by: mfc-analysis init {path}" if Path(file).suffix in ROBOTS else ""
+        raise StudyError(str(path), "", f"is not TOML: {why}{robot}") from why
     _check_depth(str(path), raw)
     tables = raw.pop("loop", [])
     if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):

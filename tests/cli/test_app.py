@@ -382,3 +382,21 @@ def test_the_shell_completes_commands():
     code = "import sys; sys.argv = ['mfc-analysis']; from mfc_analysis.cli import main; main()"  # as the script does
     done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **words}, capture_output=True, text=True, timeout=60)
     assert done.stdout.split() == ["check"]
+
+
+def test_a_robot_given_for_a_study_is_told_how_to_become_one(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text("<robot name='arm'/>")
+    done = run("check", path)
+    assert done.exit_code == 2 and f"mfc-analysis init {path}" in done.stderr
+
+
+def test_init_says_which_joints_it_locks(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    inertial = '<inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in ("base", "one", "two"))
+    joint = '<joint name="j{i}" type="revolute"><parent link="{p}"/><child link="{c}"/>'
+    joint += '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/>{m}</joint>'
+    joints = joint.format(i=1, p="base", c="one", m="") + joint.format(i=2, p="one", c="two", m='<mimic joint="j1"/>')
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm">{links}{joints}</robot>')
+    assert run("init", "arm.urdf").stdout == "arm.toml\nlocked at 0: j2\nnext: mfc-analysis check arm.toml\n"
