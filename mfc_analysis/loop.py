@@ -301,7 +301,8 @@ class ClosedLoop:
         return validate(self.equations, time, size, seed, n_jobs)
 
     def __str__(self) -> str:
-        extra = "" if not self.equations.surfaces else f", {len(self.equations.surfaces)} surface(s)"
+        count = len(self.equations.surfaces)
+        extra = f", {count} surface{'s' * (count > 1)}" if count else ""
         return f"{self.law} on {self.robot.name}{extra}"
 
     __repr__ = __str__

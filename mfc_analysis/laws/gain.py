@@ -93,4 +93,8 @@ class Gain:
     def __repr__(self) -> str:
         if self.array is None:
             return "None"
-        return f"{float(self.array):g}" if self.array.ndim == 0 else np.array2string(self.array, separator=", ", precision=6).replace("\n", "")
+        return _text(self.array)
+
+
+def _text(a: Array) -> str:
+    return f"{float(a):g}" if a.ndim == 0 else f"[{', '.join(map(_text, a))}]"

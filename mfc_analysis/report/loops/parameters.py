@@ -39,6 +39,7 @@ HARDWARE = {
     "force_deadband": ("dead band of the force", "N, Nm"),
 }
 TURNING = {"N": "N, Nm", "N/m": "N/m, Nm/rad", "Ns/m": "Ns/m, Nm s/rad", "kg": "kg, kg m²"}  #: units along and about the axes of the tool
+LONG = 12  #: letters of a name that a block has room for
 RULES = {"forward": "forward Euler", "backward": "backward Euler", "tustin": "Tustin"}
 
 
@@ -76,7 +77,7 @@ def diagram(view: View) -> Figure:
             ("inverse\ndynamics" if law.plant == "torque" else "inverse\nJacobian", law.plant),
         ]
     else:
-        chain.append((f"{name}\n({law.numbered()})", law.plant if law.plant in points else ""))
+        chain.append((_in_two_lines(name) if len(name) > LONG else f"{name}\n({law.numbered()})", law.plant if law.plant in points else ""))
     between = [
         word
         for word, there in (
@@ -104,6 +105,13 @@ def diagram(view: View) -> Figure:
     )
 
 
+def _in_two_lines(name: str) -> str:
+    """The name of a class in two lines, broken at the capital nearest to its middle: Damped, ForcePI."""
+    capitals = [i for i in range(1, len(name)) if name[i].isupper() and name[i - 1].islower()]
+    at = min(capitals, key=lambda i: abs(2 * i - len(name)), default=len(name))
+    return f"{name[:at]}\n{name[at:]}".rstrip()
+
+
 def gain_unit(law: Law, name: str, value: ArrayLike) -> str:
     """The unit of a gain, as text: of forces at the tool also that about the axes where the gain acts there, "Ns/m, Nm s/rad"."""
     unit = law.units.get(name, "").replace("^2", "²").replace("^3", "³")
@@ -120,15 +128,16 @@ def parameters(view: View) -> tuple[Block, ...]:
     """Tables of the gains and of robot, model, path, hardware and surfaces."""
     out: list[Block] = []
     law, n = view.loop.law, view.loop.robot.n
+    of_joints = law.space == "joint" and law.desired_wrench is None  # the gains of a force law are those of the six directions of the tool
     rows = []
     for name, gain in law.gains().items():
         unit = gain_unit(law, name, 0.0 if gain.array is None else gain.array)
-        rows.append((name, unit_words(unit, view.loop.robot.joint_units) if law.space == "joint" else unit, gain_words(gain)))
+        rows.append((name, unit_words(unit, view.loop.robot.joint_units) if of_joints else unit, gain_words(gain)))
     if rows:
         heads = (
             Column("Gain", numeric=False),
             Column("Unit", numeric=False),
-            Column(f"Value ({'per joint' if law.space == 'joint' and n > 1 else 'scalar, diagonal or matrix'})", numeric=False),
+            Column(f"Value ({'per joint' if of_joints and n > 1 else 'scalar, diagonal or matrix'})", numeric=False),
         )
         out.append(Table("Controller gains.", heads, tuple(rows)))
     facts = [("robot", robot_words(view)), ("controller's model", model_words(view)), ("reference", reference_words(view))]

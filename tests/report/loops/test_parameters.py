@@ -71,3 +71,14 @@ def test_the_model_is_told_by_the_payload_and_inertia_that_it_lacks() -> None:
     assert "3 kg" in said and f"{100 * np.abs(M - lighter).max() / np.abs(M).max():.2f} %" in said
     assert not any(x.isdigit() for x in parameters.model_words(links()))
     assert parameters.array_words(np.array([[1.0, 0.25], [0.0, 2.0]])) == "(1, 0.25); (0, 2)"
+
+
+def test_a_force_law_has_a_whole_name_and_gains_of_the_tool():
+    wall = mfc.Environment(stiffness=2e4, axes="z", preload=15.0)
+    law = mfc.laws.DampedForcePI((0, 0, 15.0, 0, 0, 0), 0.5, 3.0, kdamp=(150, 150, 150, 8, 8, 8))
+    loop = mfc.ClosedLoop(mfc.robots.ur5(), law, mfc.trajectories.Hold([0.3, -1.25, 1.9, -2.2, -1.57, 0.2]), environment=wall)
+    assert str(loop) == "DampedForcePI(kfp = 0.5, kfi = 3, kdamp = [150, 150, 150, 8, 8, 8]) [eq. 9.23] on ur5, 1 surface"
+    gains = next(x for x in parameters.parameters(view(loop)) if isinstance(x, Table) and x.caption == "Controller gains.")
+    assert gains.columns[2].head == "Value (scalar, diagonal or matrix)"
+    assert gains.rows[2] == ("kdamp", "Ns/m, Nm s/rad", "(150, 150, 150, 8, 8, 8)")
+    assert parameters._in_two_lines("DampedForcePI") == "Damped\nForcePI" and parameters._in_two_lines("Uninterrupted") == "Uninterrupted"
