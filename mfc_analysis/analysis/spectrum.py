@@ -15,6 +15,7 @@ from mfc_analysis.analysis.system import OpenSystem, close_wires
 from mfc_analysis.errors import NotConverged
 from mfc_analysis.maths.arrays import Array, Bools, Complex
 
+NEVER = 1e-10  #: [1/s] rate of a slow root below which it is rounding
 UNDAMPED = 1e-10  #: a root whose real part is below this fraction of its modulus counts as undamped: not stable
 
 
@@ -64,7 +65,7 @@ class Pole:
     value: complex  #: [1/s], or z
     frequency: float  #: [rad/s] natural frequency
     damping: float  #: damping ratio; -1..1; NaN of a slow pole
-    time_constant: float  #: [s] inf where it does not decay, negative where it grows
+    time_constant: float  #: [s] inf where it does not decay (or not in 300 years), negative where it grows
     kind: str  #: "slow", "stable", "undamped" or "unstable"
 
 
@@ -150,6 +151,6 @@ def _row(pole: complex, rate: complex, slow: bool, decays: bool) -> Pole:
     size = abs(rate)
     undamped = not decays and rate.real <= UNDAMPED * size
     if slow:
-        return Pole(pole, size, np.nan, np.inf if rate.real == 0 else -1 / rate.real, "slow")
+        return Pole(pole, size, np.nan, np.inf if abs(rate.real) < NEVER else -1 / rate.real, "slow")
     kind = "stable" if decays else "undamped" if undamped else "unstable"
     return Pole(pole, size, 0.0 if undamped else -rate.real / size, np.inf if undamped else -1 / rate.real, kind)

@@ -109,7 +109,7 @@ class Growth(NamedTuple):
 def growths(system: OpenSystem) -> Growth:
     """Growth of the roots of a sampled loop."""
     known = spectrum(without_idle(system))
-    s = np.where(known.slow, -np.inf, known.rates)
+    s: Complex = np.where(known.slow, -np.inf, known.rates).astype(np.complex128)
     turns = np.abs(s.imag) * system.dt > TURNS
     every = np.where(known.slow.all(axis=1), np.inf, s.real.max(axis=1))
     return Growth(float(every.max()), float(np.where(turns, s.real, -np.inf).max()), -float(np.abs(known.poles + 1).min()))

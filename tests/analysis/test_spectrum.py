@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import mfc_analysis as mfc
 from mfc_analysis.analysis.slow import parts
-from mfc_analysis.analysis.spectrum import pole_table, poles, spectrum
+from mfc_analysis.analysis.spectrum import pole_table, poles, root_rows, spectrum
 from mfc_analysis.errors import NotConverged
 from tests.analysis.conftest import companion, from_matrix, mixed
 
@@ -76,3 +76,9 @@ def test_the_table_gives_frequency_damping_and_time_constant():
         "undamped",
         "unstable",
     ]
+
+
+def test_a_root_that_is_zero_but_for_rounding_has_no_time_constant():
+    rows = root_rows(np.array([5e-17 + 0j, -3e-18 + 0j, -1e-3 + 0j, 2e-3 + 0j]), 100.0)
+    assert [row.kind for row in rows] == ["slow"] * 4
+    assert_allclose([row.time_constant for row in rows], [np.inf, np.inf, 1000.0, -500.0])

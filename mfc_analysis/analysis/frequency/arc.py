@@ -88,8 +88,14 @@ def arc_delays(radius: float, theta: Array, H: Complex, at: Place, evaluate: Eva
     real = H[point, channel, 0].real
     with np.errstate(divide="ignore", invalid="ignore"):
         late = -np.log1p(1 / real) / radius
-    every = zip(vars(there[on]).values(), (point, channel, np.zeros(real.size), real.astype(np.complex128)), strict=True)
-    return Crossings(*(np.concatenate(both) for both in every)), np.concatenate([delay[on], late])
+    rest = there[on]
+    every = Crossings(
+        np.concatenate([rest.point, point]),
+        np.concatenate([rest.channel, channel]),
+        np.concatenate([rest.w, np.zeros(real.size)]),
+        np.concatenate([rest.H, real.astype(np.complex128)]),
+    )
+    return every, np.concatenate([delay[on], late])
 
 
 def _delay(H: Complex, s: Complex) -> Array:
