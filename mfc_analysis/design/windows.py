@@ -57,7 +57,8 @@ def critical_delays(system: OpenSystem, at: str) -> Array:
 
 def _gains(system: OpenSystem, index: int, at: str, s: Complex) -> Complex:
     """G (k, n, n) from after the cuts of ``at`` to before them, present dead times included, at s (k,)."""
-    G = np.exp(-s[:, None] * system.wire_delay)[:, :, None] * wire_response(system, index, s)
+    with np.errstate(over="ignore", invalid="ignore"):  # beside a pole at zero, with a horizon near the largest float
+        G = np.exp(-s[:, None] * system.wire_delay)[:, :, None] * wire_response(system, index, s)
     cut = np.arange(system.nw)[system.wires[at]]
     rest = np.setdiff1d(np.arange(system.nw), cut)
     out: Complex = G[:, cut[:, None], cut]

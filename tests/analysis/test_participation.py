@@ -88,7 +88,7 @@ def test_a_tool_law_names_the_axis(hardware):
     [
         (mfc.robots.load("panda"), np.array([0.3, 0.3, 0.3, -1.5, 0.3, 1.5, 0.3]), 4),
         (mfc.robots.load("xarm7"), np.array([0.3, 0.3, 0.3, 1.5, 0.3, 1.5, 0.3]), 5),
-        (mfc.robots.load("kinova"), np.array([0.3, 3.0, 1.5, 0.3, 0.3, 0.3]), 2),
+        (mfc.robots.load("kinova"), np.array([0.3, 3.0, 1.5, 0.3, 0.9, 0.3]), 2),
         (mfc.robots.slider(mass=1.0), np.zeros(1), 1),
         (mfc.robots.rp(), np.array([0.3, 0.5]), 2),
     ],
