@@ -180,8 +180,7 @@ def min_sample_rate(
 
     The search goes down from ``upper`` to the first loss; 0 if stable down to ``lower``, inf if not stable at any rate of the search, whose
     ends ``binds`` gives. Between the rates of the scan it looks where a resonance of the plant folds (``windows``). Rates are 1e-9 to 1e9 1/s.
-    ``upper`` None: 1e5 1/s, and 1e9 1/s where no rate up to there is stable; with dead time at
-    most the rate at which it takes 2000 samples.
+    ``upper`` None: 1e5 1/s, and 1e9 1/s where no rate up to there is stable; with dead time at most the rate at which it takes 2000 samples.
 
     Other arguments as ``max_delay``. Raises BadArgument.
     """

@@ -228,9 +228,9 @@ def _marched(steps: _Steps, duration: float) -> tuple[Array, Array]:
         lengths.append(np.full(count, steps.h))
         parts.append(y)
         if steps.together > 1 and left > count:
-            seen = np.concatenate([steps.past(now), y[-steps.deep :]], axis=1)
-            most = np.maximum(most, np.abs(np.concatenate([seen[:, : steps.nd].max(axis=0), y.max(axis=0)])).max(axis=1))
-            if steps.smooth(seen, most) or (used > FAST and steps.together > SHOWN):
+            past = steps.past(now)
+            most = np.maximum(most, np.concatenate([np.abs(signals[:, :, ::2]).max(axis=(0, 2)) for signals in (past, y)]))
+            if steps.smooth(np.concatenate([past, y[-steps.deep :]], axis=1), most) or (used > FAST and steps.together > SHOWN):
                 steps, now = steps.doubled(now)
     y = np.concatenate(parts)
     t = np.concatenate([[0.0], np.cumsum(np.concatenate(lengths))])
